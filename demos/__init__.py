@@ -1,0 +1,1 @@
+"""Windows and pictures: viewer, crowd, comparison, the built-in character."""

@@ -1,0 +1,1 @@
+"""One one-to-one texture atlas for a whole character."""

@@ -1,0 +1,1 @@
+"""Seam-aware edge collapse."""

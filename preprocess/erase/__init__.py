@@ -1,0 +1,1 @@
+"""Seam erasure: textures whose bilinear samples agree across every uv seam."""

@@ -1,0 +1,1 @@
+"""Character files (glTF 2.0, GLB, VRM) into arrays."""

@@ -1,0 +1,133 @@
+"""Image files in and out, all through OpenImageIO: PNG, TIFF, EXR, JPEG and the rest."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from preprocess.errors import InputError
+
+
+@dataclass(frozen=True)
+class Image:
+    """Texels with what is needed to write them back as they came.
+
+    Attributes
+    ----------
+    texels : (H, W, C) float32 or float64
+        Integer formats are scaled to [0, 1]; float formats are as stored.
+    format : str
+        Stored type of a channel: "uint8", "uint16", "half" or "float".
+    channel_names : tuple of str
+    metadata : Any
+        OpenImageIO's ImageSpec of the source (colour space, resolution, text), or None.
+    """
+
+    texels: NDArray[Any]
+    format: str = "uint8"
+    channel_names: tuple[str, ...] = ()
+    metadata: Any = field(default=None, compare=False)
+
+    @property
+    def levels(self) -> int:
+        """Number of steps an integer format has above zero (255, 65535); 0 for float formats."""
+        return {"uint8": 255, "uint16": 65535}.get(self.format, 0)
+
+
+def read_image(source: Path | bytes, what: str = "image") -> Image:
+    """Decode an image file, or the bytes of one.
+
+    Parameters
+    ----------
+    source : Path or bytes
+    what : str
+        How error messages name the image.
+
+    Raises
+    ------
+    InputError
+        If it is missing or does not decode.
+    """
+    if isinstance(source, bytes):  # OpenImageIO's Python module reads files only
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / _guess_name(source)
+            path.write_bytes(source)
+            return read_image(path, what)
+    import OpenImageIO as oiio
+
+    if not source.is_file():
+        raise InputError(f"{what}: no such file: {source}")
+    config = oiio.ImageSpec()
+    config.attribute("oiio:UnassociatedAlpha", 1)
+    reader = oiio.ImageInput.open(str(source), config)
+    if reader is None:
+        message = (oiio.geterror() or "unknown format").splitlines()[0]
+        raise InputError(f"{what} does not decode ({message}): save it as PNG, JPEG, TIFF or EXR")
+    try:
+        spec = reader.spec()
+        stored = str(spec.format)
+        texels = reader.read_image(0, 0, 0, spec.nchannels, "float")
+        if texels is None:
+            raise InputError(f"{what} does not decode ({reader.geterror().splitlines()[0]}): it is damaged")
+    finally:
+        reader.close()
+    fmt = {"uint8": "uint8", "uint16": "uint16", "half": "half", "float": "float", "double": "float"}.get(stored)
+    if fmt is None:
+        raise InputError(f"{what} stores {stored} texels: convert it to 8 or 16 bits or to float")
+    texels = np.asarray(texels, np.float32).reshape(spec.height, spec.width, spec.nchannels)
+    return Image(texels, fmt, tuple(spec.channelnames), spec)
+
+
+def _guess_name(data: bytes) -> str:
+    signatures = {b"\x89PNG": "a.png", b"\xff\xd8\xff": "a.jpg", b"RIFF": "a.webp", b"v/1\x01": "a.exr"}
+    for signature, name in signatures.items():
+        if data.startswith(signature):
+            return name
+    return "a.png"
+
+
+def write_image(path: Path, image: Image) -> None:
+    """Encode an image by its file name's extension, rounding integer formats to the nearest step.
+
+    Raises
+    ------
+    InputError
+        If the extension is not one that OpenImageIO writes or the file cannot be written.
+    """
+    import OpenImageIO as oiio
+
+    texels = image.texels
+    height, width, channels = texels.shape
+    dtype: Any
+    if image.levels:
+        dtype = np.uint8 if image.levels == 255 else np.uint16
+        data = np.clip(np.rint(texels.astype(np.float64) * image.levels), 0, image.levels).astype(dtype)
+    else:
+        data = texels.astype(np.float16 if image.format == "half" else np.float32)
+    spec = oiio.ImageSpec(width, height, channels, image.format)
+    if image.metadata is not None:
+        spec = oiio.ImageSpec(image.metadata)
+        spec.width, spec.height, spec.nchannels = width, height, channels
+        spec.set_format(image.format)
+    if len(image.channel_names) == channels:
+        spec.channelnames = image.channel_names
+    spec.attribute("oiio:UnassociatedAlpha", 1)
+    if path.suffix.lower() == ".exr":
+        spec.attribute("compression", "zip")
+    if path.suffix.lower() == ".png":
+        spec.attribute("png:compressionLevel", 6)
+    writer = oiio.ImageOutput.create(str(path))
+    if writer is None:
+        raise InputError(f"cannot write {path.name}: use .png, .tif, .exr or .jpg")
+    if not writer.open(str(path), spec):
+        raise InputError(f"cannot write {path}: {writer.geterror()}")
+    ok = writer.write_image(np.ascontiguousarray(data))
+    error = writer.geterror()
+    writer.close()
+    if not ok:
+        raise InputError(f"cannot write {path}: {error}")

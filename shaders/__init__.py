@@ -1,0 +1,1 @@
+"""GLSL sources, one file a stage; shared parts in include/."""
