@@ -1,0 +1,61 @@
+"""Fixtures: real headless contexts that fail a test which leaks GL objects, and the test characters."""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import moderngl
+import pytest
+
+ASSETS = Path(__file__).resolve().parent.parent.parent / "shared" / "assets"
+KINDS = ("Buffer", "Texture", "VertexArray", "Framebuffer", "Renderbuffer", "Program", "Shader", "Query")
+HIGHEST_NAME = 4096  # names are handed out from 1 upwards; tests never come near this
+
+
+def asset(name: str) -> Path:
+    """A test character, or a skip that says which file is missing."""
+    path = ASSETS / name
+    if not path.is_file():
+        pytest.skip(f"{name} is not in ../shared/assets")
+    return path
+
+
+def live_gl_objects() -> dict[str, set[int]]:
+    """Names of all live objects of the current context, by kind, asked of the driver itself."""
+    library = ctypes.CDLL(ctypes.util.find_library("GL") or "libGL.so.1")
+    return {
+        kind: {name for name in range(1, HIGHEST_NAME) if getattr(library, f"glIs{kind}")(ctypes.c_uint(name))}
+        for kind in KINDS
+    }
+
+
+@pytest.fixture(scope="session")
+def _shared_context() -> Iterator[moderngl.Context]:
+    context = moderngl.create_context(standalone=True, backend="egl")
+    yield context
+    context.release()
+
+
+@pytest.fixture
+def ctx(_shared_context: moderngl.Context) -> Iterator[moderngl.Context]:
+    """A headless context. The test fails if GL objects that it made outlive it."""
+    context = _shared_context
+    context.__enter__()
+    before = live_gl_objects()
+    yield context
+    context.__enter__()
+    after = live_gl_objects()
+    leaked = {kind: len(after[kind] - before[kind]) for kind in KINDS if after[kind] - before[kind]}
+    for kind in leaked:  # do not let one test's leak fail the next
+        before[kind] |= after[kind]
+    assert not leaked, f"GL objects leaked by this test: {leaked}"
+
+
+@pytest.fixture(scope="session")
+def asset_path() -> Any:
+    """Function from a file name in ../shared/assets to its path; skips where it is missing."""
+    return asset
