@@ -1,0 +1,117 @@
+"""Signals of the surface into textures of the atlas (paper, sections 7 and 8): position, normal, weights.
+
+Each texel takes the surface's value under its centre. A bilinear sample at a vertex then misses that vertex by the
+curvature inside one cell; `fit_vertices` moves the texels, as little as possible, until the samples at all vertices
+are exact, so that the finest level of detail is the source mesh.
+"""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
+
+from preprocess.mesh import Floats, Ints, SkinnedMesh
+from preprocess.raster import Coverage, fill_outside, interpolate_corners, rasterise
+from preprocess.texels import bilinear_stencil
+
+log = logging.getLogger(__name__)
+
+FIT_DAMPING = 1e-4  # relative to a stencil's own weight; vertices denser than texels then share the error
+
+
+def cover_atlas(mesh: SkinnedMesh, width: int, height: int) -> Coverage:
+    """Texels of an image of the given size against the atlas of a character."""
+    return rasterise(mesh.surface.uvs, mesh.surface.face_uvs, width, height)
+
+
+def bake_positions(mesh: SkinnedMesh, size: tuple[int, int]) -> Floats:
+    """Object-space positions, metres.
+
+    Parameters
+    ----------
+    mesh : SkinnedMesh
+        With the atlas as its uvs.
+    size : (width, height)
+
+    Returns
+    -------
+    (H, W, 3) float64
+    """
+    surface = mesh.surface
+    coverage = cover_atlas(mesh, *size)
+    texels = interpolate_corners(coverage, surface.positions[surface.faces])
+    texels = fill_outside(texels, coverage.faces >= 0)
+    return fit_vertices(texels, surface.uvs, vertex_values(mesh, surface.positions))
+
+
+def bake_weights(mesh: SkinnedMesh, num_joints: int, size: tuple[int, int]) -> Floats:
+    """Joint weights, non-negative and summing to one in every texel.
+
+    Returns
+    -------
+    (H, W, J) float64
+    """
+    surface = mesh.surface
+    dense = mesh.dense_weights(num_joints)
+    coverage = cover_atlas(mesh, *size)
+    near = coverage.faces >= 0
+    height, width = coverage.shape
+    texels = np.zeros((height, width, num_joints))
+    barycentrics = np.clip(coverage.barycentrics[near].astype(np.float64), 0.0, None)
+    barycentrics /= barycentrics.sum(axis=1, keepdims=True)
+    corners = surface.faces[coverage.faces[near]]
+    texels[near] = sum(barycentrics[:, k, None] * dense[corners[:, k]] for k in range(3))
+    texels = fill_outside(texels, near)
+    texels = np.clip(fit_vertices(texels, surface.uvs, vertex_values(mesh, dense)), 0.0, None)
+    return texels / texels.sum(axis=2, keepdims=True)
+
+
+def vertex_values(mesh: SkinnedMesh, values: NDArray[np.floating]) -> Floats:
+    """Values a surface vertex, (V, C), as values a texture vertex, (T, C)."""
+    surface = mesh.surface
+    result = np.zeros((len(surface.uvs), values.shape[1]))
+    result[surface.face_uvs.ravel()] = values[surface.faces.ravel()]
+    return result
+
+
+def fit_vertices(texels: Floats, uvs: Floats, values: Floats) -> Floats:
+    """Change the texels as little as possible so that bilinear samples at given points take given values.
+
+    Minimises |δ|² + |W (p + δ) - v|² / damping, where W holds the bilinear stencils; solved in the space of the
+    points, (W Wᵀ + damping) λ = v - W p, δ = Wᵀ λ, with one factorisation for all channels.
+
+    Parameters
+    ----------
+    texels : (H, W, C) float64
+    uvs : (N, 2) float64
+    values : (N, C) float64
+
+    Returns
+    -------
+    (H, W, C) float64
+    """
+    height, width, channels = texels.shape
+    stencil = stencil_matrix(uvs, width, height)
+    flat = texels.reshape(-1, channels)
+    gram = (stencil @ stencil.T + FIT_DAMPING * sp.identity(len(uvs))).tocsc()
+    factor = splu(gram, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    multipliers = factor.solve(np.asarray(values - stencil @ flat))
+    return (flat + stencil.T @ multipliers).reshape(texels.shape)
+
+
+def stencil_matrix(uvs: Floats, width: int, height: int) -> sp.csr_matrix:
+    """Bilinear samples as a sparse matrix, (N, H * W)."""
+    texels, weights = bilinear_stencil(uvs, width, height)
+    rows = np.repeat(np.arange(len(uvs)), 4)
+    return sp.csr_matrix((weights.ravel(), (rows, texels.ravel())), shape=(len(uvs), width * height))
+
+
+def used_vertices(face_uvs: Ints, num_uvs: int) -> NDArray[np.bool_]:
+    """Which texture vertices any face uses, (T,) bool."""
+    used = np.zeros(num_uvs, bool)
+    used[face_uvs] = True
+    return used

@@ -1,0 +1,299 @@
+"""The source's materials into textures of the atlas: base colour, occlusion-roughness-metallic, emissive, normal.
+
+Where the artist's atlas stays and one material covers the character, its images are passed on texel by texel.
+Otherwise every texel of the new atlas looks up its surface point in the source's images, through their samplers
+and transforms; factors and vertex colours that differ over the surface are multiplied in.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from preprocess.mesh import Floats, SkinnedMesh
+from preprocess.raster import Coverage, fill_outside, interpolate_corners
+from preprocess.resample import linear_to_srgb, sample_footprints, srgb_to_linear
+from preprocess.texels import uv_to_px
+
+if TYPE_CHECKING:
+    from preprocess.gltf import Character, Material, TextureRef
+
+MIN_SIZE_PX, MAX_SIZE_PX = 512, 4096  # of a resampled texture; borders between flat colours need some texels too
+
+
+@dataclass(frozen=True)
+class BakedTexture:
+    """One texture of the atlas.
+
+    Attributes
+    ----------
+    name : str
+        File stem: "base_color", "orm", "emissive", "normal".
+    texels : (H, W, C) float64
+        As stored: colours sRGB-encoded in [0, 1], normals as vectors in [-1, 1].
+    format : str
+        "uint8", "uint16", "half" or "float".
+    is_color : bool
+        Whether the stored values are sRGB-encoded.
+    copied : bool
+        Whether these are the source's own texels.
+    """
+
+    name: str
+    texels: Floats
+    format: str
+    is_color: bool
+    copied: bool
+
+
+def bake_materials(
+    character: Character,
+    mesh: SkinnedMesh,
+    resampled: bool,
+    size_px: int | None,
+    cover: Callable[[int, int], Coverage],
+) -> list[BakedTexture]:
+    """Base colour, and occlusion-roughness-metallic and emissive where the character has them.
+
+    Parameters
+    ----------
+    character : Character
+    mesh : SkinnedMesh
+        With the atlas as its uvs.
+    resampled : bool
+        Whether the atlas differs from the source's uvs.
+    size_px : int or None
+        Side of the square textures; None: the source's texel density.
+    cover : function (width, height) -> Coverage
+        Rasterises the atlas.
+    """
+    used = np.unique(mesh.face_materials)
+    materials = character.materials
+    textures = []
+    for name, of, is_color in (
+        ("base_color", lambda m: m.base_color, True),
+        ("orm", lambda m: m.metallic_roughness or m.occlusion, False),
+        ("emissive", lambda m: m.emissive, True),
+    ):
+        refs: list[TextureRef | None] = [of(materials[i]) for i in used]
+        if name != "base_color" and not _varies(name, [materials[i] for i in used], refs):
+            continue
+        copied = _copy(character, mesh, used, name, refs, resampled, size_px)
+        if copied is not None:
+            textures.append(BakedTexture(name, copied, "uint8", is_color, True))
+            continue
+        side = size_px or resampled_size(mesh, [of(m) for m in materials], resampled)
+        textures.append(BakedTexture(name, _bake(mesh, materials, name, cover(side, side)), "uint8", is_color, False))
+    return textures
+
+
+def _varies(name: str, materials: list[Material], refs: list[TextureRef | None]) -> bool:
+    """Whether a channel needs a texture, or a factor a material is enough."""
+    if any(ref is not None for ref in refs):
+        return True
+    if name == "orm":
+        return len({(m.roughness_factor, m.metallic_factor) for m in materials}) > 1
+    return len({tuple(m.emissive_factor) for m in materials}) > 1
+
+
+def _copy(
+    character: Character,
+    mesh: SkinnedMesh,
+    used: NDArray[np.integer],
+    name: str,
+    refs: list[TextureRef | None],
+    resampled: bool,
+    size_px: int | None,
+) -> Floats | None:
+    """The source's own texels, where nothing about them changes; else None."""
+    if resampled or size_px is not None or len(used) != 1 or mesh.corner_colors is not None or refs[0] is None:
+        return None
+    material, ref = character.materials[int(used[0])], refs[0]
+    if ref.texcoord != 0 or not np.allclose(ref.transform, np.eye(3)):
+        return None
+    if name == "orm" and not _is_packed(material):
+        return None
+    texels = ref.image.texels.astype(np.float64)
+    if texels.shape[2] < 3:  # grey, with or without alpha
+        texels = np.concatenate([texels[..., :1]] * 3 + [texels[..., 1:]], axis=2)
+    opaque = material.alpha_mode == "OPAQUE"
+    return texels[..., :3] if opaque or name != "base_color" else texels
+
+
+def _is_packed(material: Material) -> bool:
+    """Whether occlusion, roughness and metallic already share one image."""
+    both = material.occlusion is not None and material.metallic_roughness is not None
+    return both and material.occlusion.image is material.metallic_roughness.image  # type: ignore[union-attr]
+
+
+def resampled_size(mesh: SkinnedMesh, refs: list[TextureRef | None], resampled: bool) -> int:
+    """Side of a square texture in which most of the surface keeps the source's texel density, a power of two."""
+    surface = mesh.surface
+    atlas_area = _areas(surface.uvs[surface.face_uvs])
+    wanted = np.zeros(mesh.num_faces)
+    for index, ref in enumerate(refs):
+        if ref is None or ref.texcoord >= mesh.corner_texcoords.shape[2]:
+            continue
+        faces = mesh.face_materials == index
+        height, width = ref.image.texels.shape[:2]
+        wanted[faces] = _areas(_transformed(mesh.corner_texcoords[faces][:, :, ref.texcoord], ref)) * width * height
+    used = atlas_area > 0
+    if not used.any() or not wanted.any():
+        return MIN_SIZE_PX * 2 if resampled else MIN_SIZE_PX
+    density = np.sqrt(wanted[used] / atlas_area[used])
+    order = np.argsort(density)
+    share = np.cumsum(atlas_area[used][order])
+    side = float(density[order][np.searchsorted(share, 0.75 * share[-1])])
+    return int(np.clip(2 ** math.ceil(math.log2(max(side, 1.0)) - 0.25), MIN_SIZE_PX, MAX_SIZE_PX))
+
+
+def _areas(corners: Floats) -> Floats:
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+
+
+def _transformed(uvs: Floats, ref: TextureRef) -> Floats:
+    transform = np.asarray(ref.transform)
+    return uvs @ transform[:2, :2].T + transform[:2, 2]
+
+
+def _bake(mesh: SkinnedMesh, materials: tuple[Material, ...], name: str, coverage: Coverage) -> Floats:
+    """One channel group of all materials in the atlas, (H, W, 3 or 4), colours sRGB-encoded."""
+    height, width = coverage.shape
+    near = coverage.faces >= 0
+    face_of_texel = coverage.faces[near]
+    blended = name == "base_color" and any(materials[i].alpha_mode != "OPAQUE" for i in np.unique(mesh.face_materials))
+    values = np.ones((len(face_of_texel), 4))
+    lookup = _Lookup(mesh, coverage)
+    for index in np.unique(mesh.face_materials):
+        rows = np.flatnonzero(mesh.face_materials[face_of_texel] == index)
+        if len(rows):
+            values[rows] = _SHADERS[name](materials[index], lookup, rows)
+    if name == "base_color" and mesh.corner_colors is not None:
+        values *= interpolate_corners(coverage, mesh.corner_colors)[near]
+    values = np.clip(values, 0.0, 1.0)
+    if name != "orm":
+        values[:, :3] = linear_to_srgb(values[:, :3])
+    texels = np.zeros((height, width, 4 if blended else 3))
+    texels[near] = values[:, : texels.shape[2]]
+    return fill_outside(texels, near)
+
+
+def _base_color(material: Material, lookup: _Lookup, rows: NDArray[np.integer]) -> Floats:
+    values = lookup.color(material.base_color, rows)
+    return values * np.asarray(material.base_color_factor)
+
+
+def _emissive(material: Material, lookup: _Lookup, rows: NDArray[np.integer]) -> Floats:
+    values = lookup.color(material.emissive, rows)
+    values[:, :3] *= np.asarray(material.emissive_factor)
+    return values
+
+
+def _orm(material: Material, lookup: _Lookup, rows: NDArray[np.integer]) -> Floats:
+    values = np.ones((len(rows), 4))
+    if material.occlusion is not None:
+        occlusion = lookup.raw(material.occlusion, rows)[:, 0]
+        values[:, 0] = 1.0 + material.occlusion_strength * (occlusion - 1.0)
+    values[:, 1:3] = lookup.raw(material.metallic_roughness, rows)[:, 1:3]
+    values[:, 1:3] *= (material.roughness_factor, material.metallic_factor)
+    return values
+
+
+_SHADERS = {"base_color": _base_color, "emissive": _emissive, "orm": _orm}
+
+
+class _Lookup:
+    """Source images seen from the atlas's covered texels (rows: indices into the covered texels)."""
+
+    def __init__(self, mesh: SkinnedMesh, coverage: Coverage) -> None:
+        self.mesh = mesh
+        near = coverage.faces >= 0
+        self.faces = coverage.faces[near]
+        self.barycentrics = coverage.barycentrics[near].astype(np.float64)
+        height, width = coverage.shape
+        surface = mesh.surface
+        self.gradients = _barycentric_gradients(uv_to_px(surface.uvs, width, height)[surface.face_uvs])
+
+    def raw(self, ref: TextureRef | None, rows: NDArray[np.integer], texels: Floats | None = None) -> Floats:
+        """Stored values, (N, 4); ones where there is no texture."""
+        values = np.ones((len(rows), 4))
+        if ref is None or ref.texcoord >= self.mesh.corner_texcoords.shape[2]:
+            return values
+        source = ref.image.texels if texels is None else texels
+        faces = self.faces[rows]
+        corners = _transformed(self.mesh.corner_texcoords[faces][:, :, ref.texcoord], ref)
+        uvs = np.einsum("nk,nkc->nc", self.barycentrics[rows], corners)
+        steps = np.einsum("nkd,nkc->ndc", self.gradients[faces], corners)
+        sampled = sample_footprints(source, uvs, steps[:, 0], steps[:, 1], ref.wrap_s, ref.wrap_t, ref.nearest)
+        if sampled.shape[1] < 3:
+            sampled = np.concatenate([sampled[:, :1]] * 3 + [sampled[:, 1:]], axis=1)
+        values[:, : sampled.shape[1]] = sampled
+        return values
+
+    def color(self, ref: TextureRef | None, rows: NDArray[np.integer]) -> Floats:
+        """Colours in linear light, (N, 4)."""
+        if ref is None:
+            return np.ones((len(rows), 4))
+        texels = ref.image.texels.astype(np.float64)
+        if texels.shape[2] in (2, 4):
+            texels = np.concatenate([srgb_to_linear(texels[..., :-1]), texels[..., -1:]], axis=2)
+        else:
+            texels = srgb_to_linear(texels)
+        return self.raw(ref, rows, texels)
+
+
+def _barycentric_gradients(corners_px: Floats) -> Floats:
+    """Change of the three barycentric coordinates over one texel right and down, (F, 3, 2)."""
+    a, b, c = corners_px[:, 0], corners_px[:, 1], corners_px[:, 2]
+    area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    inverse = np.where(area != 0, 1.0 / np.where(area == 0, 1.0, area), 0.0)[:, None]
+    wa = np.stack([b[:, 1] - c[:, 1], c[:, 0] - b[:, 0]], axis=1) * inverse
+    wb = np.stack([c[:, 1] - a[:, 1], a[:, 0] - c[:, 0]], axis=1) * inverse
+    return np.stack([wa, wb, -wa - wb], axis=1)
+
+
+def bake_normals(
+    character: Character,
+    mesh: SkinnedMesh,
+    corner_tangents: NDArray[np.floating] | None,
+    coverage: Coverage,
+) -> Floats:
+    """Object-space unit normals with the source's tangent-space normal maps in them, (H, W, 3) float64.
+
+    The tangent frame is interpolated and not renormalised before use, bitangent = handedness * cross(n, t), as the
+    glTF specification and MikkTSpace define it.
+
+    Parameters
+    ----------
+    corner_tangents : (F, 3, 4) float or None
+        Needed where a material has a normal texture.
+    """
+    near = coverage.faces >= 0
+    normals = _unit(interpolate_corners(coverage, mesh.corner_normals)[near])
+    if corner_tangents is not None:
+        frames = interpolate_corners(coverage, corner_tangents)[near]
+        lookup = _Lookup(mesh, coverage)
+        for index in np.unique(mesh.face_materials):
+            material = character.materials[index]
+            if material.normal is None:
+                continue
+            rows = np.flatnonzero(mesh.face_materials[lookup.faces] == index)
+            local = lookup.raw(material.normal, rows)[:, :3] * 2.0 - 1.0
+            local[:, :2] *= material.normal_scale
+            n, t = normals[rows], frames[rows, :3]
+            b = np.sign(frames[rows, 3:]) * np.cross(n, t)
+            normals[rows] = _unit(local[:, :1] * t + local[:, 1:2] * b + local[:, 2:] * n)
+    height, width = coverage.shape
+    texels = np.zeros((height, width, 3))
+    texels[near] = normals
+    return fill_outside(texels, near)
+
+
+def _unit(vectors: Floats) -> Floats:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
