@@ -1,0 +1,66 @@
+"""Every option of a build: what it means, its unit, its range, its default and the reason for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+AtlasMode = Literal["auto", "keep", "repack", "unwrap"]
+SeamMode = Literal["local", "global"]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Options of `python -m preprocess MODEL`.
+
+    Attributes
+    ----------
+    atlas : str
+        "auto" takes the least change of the source's uvs that is one-to-one and reaches the floor.
+    straighten_rel : float or None
+        Tolerance of seam straightening, a fraction of a chart's bounding box (0.01 is the paper's). None: off.
+    seams : str
+        "local" changes a band of a few texels along seams; "global" spreads the change ten times further, for
+        textures whose two sides differ in tone.
+    geometry_size_px, weight_size_px, color_size_px : int or None
+        Sides of the square textures. None (auto): geometry and weights as small as the accuracy goals allow,
+        colours at the source's density.
+    lod_ratios : tuple of float or None
+        Faces of each level as a fraction of the full mesh. None (auto): each about half the one before, to the floor.
+    floor_rel : float
+        Fraction of the faces that the coarsest exact level must reach; the atlas is chosen for it. At most
+        `floor_rel` or 200 faces, whichever is larger, is asked for.
+    exact : bool
+        Leave out levels below the exact floor, whose seams are relaxed within half a texel of their mip.
+    influences : int
+        Joint influences a vertex in model.glb: 4 or 8.
+    keep_borders : float or None
+        Colours whose two sides differ by more than this (0 to 1) along a seam of the artist's own are taken for a
+        painted border and left. None: all seams are joined.
+    report : bool
+        Write report.html.
+    """
+
+    atlas: AtlasMode = "auto"
+    straighten_rel: float | None = 0.01
+    seams: SeamMode = "local"
+    geometry_size_px: int | None = None
+    weight_size_px: int | None = None
+    color_size_px: int | None = None
+    lod_ratios: tuple[float, ...] | None = None
+    floor_rel: float = 0.03
+    exact: bool = False
+    influences: int = 4
+    keep_borders: float | None = None
+    report: bool = False
+
+
+# Accuracy that automatic sizes must reach at the vertices of the full mesh, as fractions of the bounding diagonal.
+GEOMETRY_RMS_REL = 1e-4
+GEOMETRY_MAX_REL = 1e-3
+MIN_FLOOR_FACES = 200
+
+
+def floor_faces(num_faces: int, floor_rel: float) -> int:
+    """Faces that the coarsest exact level may have."""
+    return min(num_faces, max(MIN_FLOOR_FACES, int(floor_rel * num_faces)))
