@@ -25,7 +25,9 @@ void main() { uv = in_uv; color = in_color; gl_Position = clip_from_object * vec
 FRAGMENT = """#version 330 core
 uniform sampler2D base_color; uniform bool has_texture; uniform vec4 factor; uniform float cutoff;
 in vec2 uv; in vec4 color; out vec4 result;
-vec3 encode(vec3 v) { return mix(v * 12.92, 1.055 * pow(max(v, 0.0031308), vec3(1.0 / 2.4)) - 0.055, step(0.0031308, v)); }
+vec3 encode(vec3 v) {
+    return mix(v * 12.92, 1.055 * pow(max(v, 0.0031308), vec3(1.0 / 2.4)) - 0.055, step(0.0031308, v));
+}
 void main() {
     vec4 c = factor * color;
     if (has_texture) c *= texture(base_color, uv);

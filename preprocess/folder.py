@@ -1,0 +1,90 @@
+"""A result folder appears whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import tempfile
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+
+from preprocess.errors import InputError
+
+MANIFEST = "manifest.json"
+
+
+def check_destination(destination: Path) -> None:
+    """Refuse, before any work, a destination that cannot be written or holds something else.
+
+    Raises
+    ------
+    InputError
+    """
+    if destination.exists() and not destination.is_dir():
+        raise InputError(f"{destination} is a file: name another folder with -o")
+    if destination.is_dir() and any(destination.iterdir()) and not (destination / MANIFEST).is_file():
+        raise InputError(f"{destination} holds other files and no built character: name another folder with -o")
+    parent = _existing_parent(destination)
+    if not os.access(parent, os.W_OK):
+        raise InputError(f"{parent} cannot be written to: name another folder with -o")
+
+
+def _existing_parent(destination: Path) -> Path:
+    parent = destination.absolute().parent
+    while not parent.exists():
+        parent = parent.parent
+    return parent
+
+
+@contextlib.contextmanager
+def whole_folder(destination: Path) -> Iterator[Path]:
+    """A new empty folder to fill, which takes the destination's place when the block ends without an error.
+
+    Whatever stood at the destination stays untouched until then, also when the block fails or is interrupted.
+    """
+    parent = destination.absolute().parent
+    parent.mkdir(parents=True, exist_ok=True)
+    with _terminate_as_interrupt():
+        partial = Path(tempfile.mkdtemp(prefix=f".{destination.name}.partial-", dir=parent))
+        try:
+            partial.chmod(0o755)
+            yield partial
+            _swap(partial, destination)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+
+
+def _swap(partial: Path, destination: Path) -> None:
+    if not destination.exists():
+        partial.rename(destination)
+        return
+    previous = Path(tempfile.mkdtemp(prefix=f".{destination.name}.previous-", dir=partial.parent))
+    destination.rename(previous / destination.name)
+    try:
+        partial.rename(destination)
+    except OSError:
+        (previous / destination.name).rename(destination)
+        raise
+    finally:
+        shutil.rmtree(previous, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _terminate_as_interrupt() -> Iterator[None]:
+    """Let a polite kill (SIGTERM) clean up like Ctrl-C does."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(signum: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
