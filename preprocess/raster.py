@@ -143,7 +143,7 @@ def clamp_extrapolation(barycentrics: NDArray[np.float32]) -> NDArray[np.float64
     return 1.0 / 3.0 + (weights - 1.0 / 3.0) * scale
 
 
-def fill_outside(values: NDArray[np.floating], known: NDArray[np.bool_]) -> NDArray[np.floating]:
+def fill_outside(values: Floats, known: NDArray[np.bool_]) -> Floats:
     """Copy to every unknown texel the value of the nearest known one, so that no sample ever reads nothing.
 
     Parameters
