@@ -1,0 +1,419 @@
+"""A built character's folder, read into arrays: manifest, textures, LOD meshes, skeleton and clips (no GL here).
+
+The folder is described in docs/format.md. `SCHEMA` is the version this program writes and the newest that it reads.
+Everything is checked as it is read, so that a damaged folder is refused here, by name, and not found out in a picture.
+Letters in shapes: L mip levels, C channels, N vertices, F faces.
+"""
+
+from __future__ import annotations
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.errors import AssetError
+from runtime.gltf import Document, read_document
+
+if TYPE_CHECKING:
+    from runtime.clip import Clip
+    from runtime.skeleton import Skeleton
+
+SCHEMA = 1
+GEOMETRY_TEXTURES = ("position", "normal", "weights")
+COLOR_TEXTURES = ("base_color", "orm", "emissive")
+REBUILD = "build the character again with python -m preprocess"
+
+_DTYPES = {"uint8": np.uint8, "uint16": np.uint16, "half": np.float16, "float": np.float32}
+_READER_TYPES = {"uint8": "uint8", "uint16": "uint16", "half": "half", "float": "float"}
+
+
+@dataclass(frozen=True)
+class TextureData:
+    """One texture with its mip levels, as stored.
+
+    Attributes
+    ----------
+    name : str
+    levels : tuple of L arrays (H >> k, W >> k, C) uint8, uint16, float16 or float32
+        Row 0 is the top, v = 0.
+    """
+
+    name: str
+    levels: tuple[NDArray[Any], ...]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of level 0."""
+        return self.levels[0].shape[1], self.levels[0].shape[0]
+
+    @property
+    def channels(self) -> int:
+        """Number of channels."""
+        return int(self.levels[0].shape[2])
+
+
+@dataclass(frozen=True)
+class MaterialData:
+    """How one draw range is shaded; factors multiply the textures as in glTF."""
+
+    name: str = "default"
+    base_color_factor: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    metallic_factor: float = 1.0
+    roughness_factor: float = 1.0
+    emissive_factor: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    occlusion_strength: float = 1.0
+    alpha_mode: str = "OPAQUE"
+    alpha_cutoff: float = 0.5
+    double_sided: bool = False
+    unlit: bool = False
+
+
+@dataclass(frozen=True)
+class DrawRange:
+    """Faces [first, first + count) of a LOD share the material of that number."""
+
+    first: int
+    count: int
+    material: int
+
+
+@dataclass(frozen=True)
+class LodMesh:
+    """One level of detail: uvs and triangles, nothing else.
+
+    Attributes
+    ----------
+    uvs : (N, 2) float32
+        Where each vertex samples its material.
+    owner_uvs : (N, 2) float32
+        Where each vertex fetches position and weights; the same bits for every copy of a surface point.
+    triangles : (F, 3) uint32, counter-clockwise seen from outside
+    draws : tuple of DrawRange, in order, covering all faces
+    error_m : float
+        Largest distance to the full mesh, metres, as measured when it was built.
+    """
+
+    uvs: NDArray[np.float32]
+    owner_uvs: NDArray[np.float32]
+    triangles: NDArray[np.uint32]
+    draws: tuple[DrawRange, ...]
+    error_m: float
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """The parts of manifest.json that the runtime uses, checked; everything else stays in `json`."""
+
+    name: str
+    schema: int
+    joints: tuple[str, ...]
+    bind_bounds: NDArray[np.float64]
+    joint_bounds: tuple[NDArray[np.float64] | None, ...]
+    clip_bounds: dict[str, NDArray[np.float64]]
+    json: dict[str, Any] = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Asset:
+    """A built character in memory."""
+
+    path: Path
+    manifest: Manifest
+    textures: dict[str, TextureData]
+    materials: tuple[MaterialData, ...]
+    lods: tuple[LodMesh, ...]
+    skeleton: Skeleton
+    clips: tuple[Clip, ...]
+    weight_size: tuple[int, int]
+
+    @property
+    def name(self) -> str:
+        """The character's name."""
+        return self.manifest.name
+
+    @property
+    def num_joints(self) -> int:
+        """Number of joints, J."""
+        return len(self.manifest.joints)
+
+
+def _box(value: Any, where: str) -> NDArray[np.float64]:
+    try:
+        box = np.asarray(value, np.float64)
+    except (TypeError, ValueError):
+        box = np.zeros(0)
+    if box.shape != (2, 3) or not np.isfinite(box).all() or (box[0] > box[1]).any():
+        raise AssetError(f"{where} is not a box of two points: {REBUILD}")
+    return box
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """Read and check manifest.json.
+
+    Raises
+    ------
+    AssetError
+        If the folder or the file is missing or malformed, or of a newer schema.
+    """
+    path = folder / "manifest.json"
+    if not folder.is_dir():
+        raise AssetError(f"no such folder: {folder}: {REBUILD}, or check the path")
+    if not path.is_file():
+        raise AssetError(f"{folder} has no manifest.json: it is not a built character; {REBUILD}")
+    try:
+        data = json.loads(path.read_bytes())
+    except (ValueError, UnicodeDecodeError) as error:
+        raise AssetError(f"{path} is not JSON ({error}): {REBUILD}") from None
+    schema = data.get("schema") if isinstance(data, dict) else None
+    if not isinstance(schema, int) or schema < 1:
+        raise AssetError(f"{path} names no schema: {REBUILD}")
+    if schema > SCHEMA:
+        raise AssetError(f"{path} has schema {schema}, this seamskin reads up to {SCHEMA}: upgrade seamskin")
+    for key, kind in (("textures", dict), ("lods", list), ("joints", list)):
+        if not isinstance(data.get(key), kind) or not data[key]:
+            raise AssetError(f"{path} has no {key}: {REBUILD}")
+    bounds = data.get("bounds")
+    if not isinstance(bounds, dict):
+        raise AssetError(f"{path} has no bounds: {REBUILD}")
+    joints = tuple(str(name) for name in data["joints"])
+    boxes = bounds.get("joints") or [None] * len(joints)
+    if len(boxes) != len(joints):
+        raise AssetError(f"{path}: bounds.joints has {len(boxes)} entries for {len(joints)} joints: {REBUILD}")
+    return Manifest(
+        name=str(data.get("name") or folder.stem),
+        schema=schema,
+        joints=joints,
+        bind_bounds=_box(bounds.get("bind"), f"{path}: bounds.bind"),
+        joint_bounds=tuple(None if box is None else _box(box, f"{path}: bounds.joints[{i}]") for i, box in enumerate(boxes)),
+        clip_bounds={
+            str(name): _box(box, f"{path}: bounds.clips[{name}]") for name, box in (bounds.get("clips") or {}).items()
+        },
+        json=data,
+    )
+
+
+def _read_texels(path: Path, what: str, dtype: str, size: tuple[int, int]) -> NDArray[Any]:
+    """Decode one image file in its stored type, (H, W, C)."""
+    import OpenImageIO as oiio
+
+    if not path.is_file():
+        raise AssetError(f"{what}: {path} is missing: {REBUILD}")
+    config = oiio.ImageSpec()
+    config.attribute("oiio:UnassociatedAlpha", 1)
+    reader = oiio.ImageInput.open(str(path), config)
+    if reader is None:
+        reason = (oiio.geterror() or "unknown format").splitlines()[0]
+        raise AssetError(f"{what}: {path} does not decode ({reason}): {REBUILD}")
+    try:
+        spec = reader.spec()
+        if (spec.width, spec.height) != size:
+            raise AssetError(f"{what}: {path} is {spec.width} x {spec.height}, not {size[0]} x {size[1]}: {REBUILD}")
+        texels = reader.read_image(0, 0, 0, spec.nchannels, _READER_TYPES[dtype])
+        error = reader.geterror()
+    finally:
+        reader.close()
+    if texels is None or error:
+        reason = error.splitlines()[0] if error else "no texels"
+        raise AssetError(f"{what}: {path} is cut short or damaged ({reason}): {REBUILD}")
+    return np.ascontiguousarray(texels, _DTYPES[dtype]).reshape(size[1], size[0], -1)
+
+
+def _whole_number(value: Any, where: str, least: int = 1) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or value < least:
+        raise AssetError(f"{where} must be a whole number of at least {least}: {REBUILD}")
+    return value
+
+
+def _texture_jobs(folder: Path, manifest: Manifest) -> list[tuple[str, Path, str, tuple[int, int]]]:
+    """File, stored type and size of every level of every texture that the runtime knows, level 0 first."""
+    jobs = []
+    entries = manifest.json["textures"]
+    for name in GEOMETRY_TEXTURES:
+        if name not in entries:
+            raise AssetError(f"{folder / 'manifest.json'} lists no {name} texture: {REBUILD}")
+    for name in (*GEOMETRY_TEXTURES, *COLOR_TEXTURES):
+        entry = entries.get(name)
+        if entry is None:
+            continue
+        where = f"{folder / 'manifest.json'}: textures.{name}"
+        if not isinstance(entry, dict) or not isinstance(entry.get("file"), str):
+            raise AssetError(f"{where} names no file: {REBUILD}")
+        size = entry.get("size")
+        if not isinstance(size, list) or len(size) != 2:
+            raise AssetError(f"{where}.size is not [width, height]: {REBUILD}")
+        width, height = (_whole_number(value, f"{where}.size") for value in size)
+        if entry.get("format") not in _DTYPES:
+            raise AssetError(f"{where}.format is not one of {', '.join(_DTYPES)}: {REBUILD}")
+        if name == "weights":
+            slots = _whole_number(entry.get("slots"), f"{where}.slots")
+            jobs.append((name, folder / entry["file"], entry["format"], (width, 2 * -(-slots // 4) * height)))
+            continue
+        files = [entry["file"], *entry.get("mip_files", [])]
+        for level, file in enumerate(files):
+            jobs.append((name, folder / str(file), entry["format"], (max(1, width >> level), max(1, height >> level))))
+    return jobs
+
+
+def _read_textures(folder: Path, manifest: Manifest) -> dict[str, TextureData]:
+    jobs = _texture_jobs(folder, manifest)
+    with ThreadPoolExecutor(4) as pool:  # decoding releases the interpreter's lock
+        decoded = list(pool.map(lambda job: _read_texels(job[1], f"texture {job[0]}", job[2], job[3]), jobs))
+    levels: dict[str, list[NDArray[Any]]] = {}
+    for job, texels in zip(jobs, decoded):
+        levels.setdefault(job[0], []).append(texels)
+    least = {"position": 3, "normal": 3, "weights": 4, "base_color": 3, "orm": 3, "emissive": 3}
+    for name, arrays in levels.items():
+        for texels in arrays:
+            if texels.shape[2] < least[name] or texels.shape[2] > 4:
+                raise AssetError(f"texture {name} has {texels.shape[2]} channels, not {least[name]} to 4: {REBUILD}")
+            if texels.dtype.kind == "f" and not np.isfinite(texels).all():
+                raise AssetError(f"texture {name} holds values that are not finite: {REBUILD}")
+    return {name: TextureData(name, tuple(arrays)) for name, arrays in levels.items()}
+
+
+def _read_material(spec: dict[str, Any]) -> MaterialData:
+    pbr = spec.get("pbrMetallicRoughness", {})
+    base = tuple(map(float, pbr.get("baseColorFactor", (1, 1, 1, 1))))
+    emissive = np.array(spec.get("emissiveFactor", (0, 0, 0)), float)
+    extensions = spec.get("extensions", {})
+    emissive = emissive * extensions.get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1.0)
+    return MaterialData(
+        name=str(spec.get("name", "")),
+        base_color_factor=(base[0], base[1], base[2], base[3]),
+        metallic_factor=float(pbr.get("metallicFactor", 1.0)),
+        roughness_factor=float(pbr.get("roughnessFactor", 1.0)),
+        emissive_factor=(float(emissive[0]), float(emissive[1]), float(emissive[2])),
+        occlusion_strength=float(spec.get("occlusionTexture", {}).get("strength", 1.0)),
+        alpha_mode=str(spec.get("alphaMode", "OPAQUE")),
+        alpha_cutoff=float(spec.get("alphaCutoff", 0.5)),
+        double_sided=bool(spec.get("doubleSided", False)),
+        unlit="KHR_materials_unlit" in extensions,
+    )
+
+
+def _merge_vertices(
+    uvs: NDArray[np.float32], owner_uvs: NDArray[np.float32], triangles: NDArray[np.int64]
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint32]]:
+    """One vertex for each pair of uv and owner uv, in order of first use by the triangles."""
+    both = np.ascontiguousarray(np.concatenate([uvs, owner_uvs], axis=1))
+    both[both == 0.0] = 0.0  # -0 and 0 are one place
+    words = both.view(np.uint64).reshape(-1, 2)
+    order = np.lexsort((words[:, 1], words[:, 0]))
+    new = np.ones(len(order), bool)
+    new[1:] = (words[order[1:]] != words[order[:-1]]).any(axis=1)
+    merged = np.empty(len(order), np.int64)
+    merged[order] = np.cumsum(new) - 1
+    corners = merged[triangles].ravel()
+    kept, first = np.unique(corners, return_index=True)
+    by_use = kept[np.argsort(first, kind="stable")]
+    renumbered = np.zeros(int(new.sum()), np.uint32)
+    renumbered[by_use] = np.arange(len(by_use), dtype=np.uint32)
+    representative = order[np.flatnonzero(new)][by_use]
+    return both[representative, :2], both[representative, 2:], renumbered[corners].reshape(-1, 3)
+
+
+def _read_lod(document: Document, mesh_index: Any, where: str, error_m: float) -> LodMesh:
+    """One LOD's mesh: its primitives become draw ranges over one merged vertex list."""
+    all_uvs, all_owners, all_triangles, draws = [], [], [], []
+    num_vertices = first = 0
+    accessors: dict[tuple[int, int], int] = {}
+    for primitive in document.item("meshes", mesh_index).get("primitives", []):
+        attributes = primitive.get("attributes", {})
+        if "TEXCOORD_0" not in attributes or "_OWNER_UV" not in attributes or "indices" not in primitive:
+            raise AssetError(f"{where} has no TEXCOORD_0, _OWNER_UV or indices: {REBUILD}")
+        key = (attributes["TEXCOORD_0"], attributes["_OWNER_UV"])
+        if key not in accessors:
+            uvs, owners = (document.accessor(index) for index in key)
+            if uvs.ndim != 2 or uvs.shape[1] != 2 or uvs.shape != owners.shape:
+                raise AssetError(f"{where}: TEXCOORD_0 and _OWNER_UV do not fit each other: {REBUILD}")
+            if not (np.isfinite(uvs).all() and np.isfinite(owners).all()):
+                raise AssetError(f"{where} has uvs that are not finite: {REBUILD}")
+            accessors[key] = num_vertices
+            num_vertices += len(uvs)
+            all_uvs.append(uvs.astype(np.float32))
+            all_owners.append(owners.astype(np.float32))
+        indices = document.accessor(primitive["indices"]).astype(np.int64)
+        if len(indices) % 3 or (len(indices) and indices.max() >= num_vertices - accessors[key]):
+            raise AssetError(f"{where} has triangles of vertices that do not exist: {REBUILD}")
+        all_triangles.append(indices.reshape(-1, 3) + accessors[key])
+        draws.append(DrawRange(first, len(indices) // 3, int(primitive.get("material", -1))))
+        first += len(indices) // 3
+    if not first:
+        raise AssetError(f"{where} has no triangles: {REBUILD}")
+    merged = _merge_vertices(np.concatenate(all_uvs), np.concatenate(all_owners), np.concatenate(all_triangles))
+    return LodMesh(*merged, draws=tuple(draws), error_m=error_m)
+
+
+def _read_lods(document: Document, manifest: Manifest) -> tuple[LodMesh, ...]:
+    nodes = {node.get("name"): node for node in document.items("nodes") if "mesh" in node}
+    lods = []
+    for level, entry in enumerate(manifest.json["lods"]):
+        name = entry.get("node", f"{manifest.name}_LOD{level}")
+        if name not in nodes:
+            raise AssetError(f"{document.path} has no mesh node {name}, which the manifest names: {REBUILD}")
+        error = float(entry.get("error_m", 0.0))
+        if not np.isfinite(error) or error < 0:
+            raise AssetError(f"{document.path.parent / 'manifest.json'}: lods[{level}].error_m is {error}: {REBUILD}")
+        lods.append(_read_lod(document, nodes[name]["mesh"], f"{document.path}: {name}", error))
+    return tuple(lods)
+
+
+def _read_skeleton(document: Document, manifest: Manifest) -> Skeleton:
+    from runtime.skeleton import read_skeleton
+
+    skin = document.item("skins", 0)
+    joints = skin.get("joints", [])
+    if len(joints) != len(manifest.joints):
+        raise AssetError(
+            f"{document.path} has {len(joints)} joints and manifest.json {len(manifest.joints)}: they are of different "
+            f"builds; {REBUILD}"
+        )
+    if "inverseBindMatrices" in skin:
+        inverse_bind = document.accessor(skin["inverseBindMatrices"]).astype(np.float64)
+    else:
+        inverse_bind = np.tile(np.eye(4), (len(joints), 1, 1))
+    return read_skeleton(document, joints, inverse_bind)
+
+
+def load(path: str | Path) -> Asset:
+    """Read a built character.
+
+    Parameters
+    ----------
+    path : str or Path
+        The folder that `python -m preprocess` wrote.
+
+    Returns
+    -------
+    Asset
+
+    Raises
+    ------
+    AssetError
+        If anything in the folder is missing, damaged, or newer than this program; the message names it.
+    """
+    from runtime.clip import read_clips
+
+    folder = Path(path)
+    manifest = read_manifest(folder)
+    model = manifest.json.get("model", "model.glb")
+    document = read_document(folder / str(model))
+    textures = _read_textures(folder, manifest)
+    skeleton = _read_skeleton(document, manifest)
+    weight_entry = manifest.json["textures"]["weights"]
+    materials = tuple(_read_material(spec) for spec in document.items("materials")) or (MaterialData(),)
+    return Asset(
+        path=folder,
+        manifest=manifest,
+        textures=textures,
+        materials=materials,
+        lods=_read_lods(document, manifest),
+        skeleton=skeleton,
+        clips=read_clips(document, skeleton),
+        weight_size=(int(weight_entry["size"][0]), int(weight_entry["size"][1])),
+    )
