@@ -1,0 +1,101 @@
+"""Where straightened silhouettes cross or touch: the guard that keeps a chart from overlapping itself or another.
+
+Two segments that share no texture vertex may not meet at all; two that share one may not run along each other. Tests
+are exact in the safe sense: orientations that rounding could turn count as touching.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from preprocess.mesh import Floats
+
+Bools = NDArray[np.bool_]
+ROUNDING = 1e-15  # error of an orientation in float64, relative to the magnitudes of its products
+
+
+@numba.njit(cache=True)
+def _turn(ax, ay, bx, by, cx, cy):  # type: ignore[no-untyped-def]
+    """Orientation of a, b, c: -1, 1, or 0 where rounding decides."""
+    left, right = (bx - ax) * (cy - ay), (by - ay) * (cx - ax)
+    scale = max(abs(ax), abs(ay), abs(bx), abs(by), abs(cx), abs(cy))
+    size = abs(bx - ax) + abs(by - ay) + abs(cx - ax) + abs(cy - ay)
+    error = ROUNDING * (abs(left) + abs(right) + scale * size)
+    value = left - right
+    return 0 if abs(value) <= error else (1 if value > 0.0 else -1)
+
+
+@numba.njit(cache=True)
+def _meet(p, q, ids_p, ids_q):  # type: ignore[no-untyped-def]
+    """Whether segments p and q (ends as x0, y0, x1, y1) overlap where they should not."""
+    shared = -1
+    for a in range(2):
+        for b in range(2):
+            if ids_p[a] == ids_q[b]:
+                if shared >= 0:
+                    return True  # the same two ends
+                shared = 2 * a + b
+    if shared >= 0:
+        a, b = shared // 2, shared % 2
+        x, y = p[2 * a], p[2 * a + 1]
+        px, py = p[2 - 2 * a], p[3 - 2 * a]
+        qx, qy = q[2 - 2 * b], q[3 - 2 * b]
+        return _turn(x, y, px, py, qx, qy) == 0 and (px - x) * (qx - x) + (py - y) * (qy - y) > 0.0
+    a = _turn(p[0], p[1], p[2], p[3], q[0], q[1])
+    b = _turn(p[0], p[1], p[2], p[3], q[2], q[3])
+    c = _turn(q[0], q[1], q[2], q[3], p[0], p[1])
+    d = _turn(q[0], q[1], q[2], q[3], p[2], p[3])
+    if a == 0 and b == 0 and c == 0 and d == 0:  # on one line; their boxes overlap
+        return True
+    return a * b <= 0 and c * d <= 0
+
+
+@numba.njit(cache=True)
+def _find_meeting(segments, ids, groups, low, high, order):  # type: ignore[no-untyped-def]
+    """Which segments meet another of their group. `order` sorts them by their least x, `low` and `high` are boxes."""
+    n = len(segments)
+    meets = np.zeros(n, np.bool_)
+    for i in range(n):
+        p = order[i]
+        for j in range(i + 1, n):
+            q = order[j]
+            if low[q, 0] > high[p, 0]:
+                break
+            if low[q, 1] > high[p, 1] or low[p, 1] > high[q, 1] or groups[p] != groups[q]:
+                continue
+            if (not meets[p] or not meets[q]) and _meet(segments[p], segments[q], ids[p], ids[q]):
+                meets[p] = True
+                meets[q] = True
+    return meets
+
+
+def find_meeting_segments(
+    segments: Floats, ids: NDArray[np.integer], groups: NDArray[np.integer], margin_uv: float = 0.0
+) -> Bools:
+    """Which segments cross, touch or run along another one of their group.
+
+    Parameters
+    ----------
+    segments : (S, 2, 2) float64
+        End points. Segments without length are ignored.
+    ids : (S, 2) int
+        Texture vertices at the ends.
+    groups : (S,) int
+        Only segments of one group are compared.
+
+    Returns
+    -------
+    (S,) bool
+    """
+    result = np.zeros(len(segments), bool)
+    real = np.flatnonzero((segments[:, 0] != segments[:, 1]).any(axis=1))
+    if len(real):
+        kept = segments[real]
+        low, high = kept.min(axis=1) - margin_uv, kept.max(axis=1) + margin_uv
+        order = np.argsort(low[:, 0], kind="stable")
+        flat = np.ascontiguousarray(kept.reshape(-1, 4))
+        rows = (ids[real].astype(np.int64), groups[real].astype(np.int64))
+        result[real] = _find_meeting(flat, *rows, low, high, order)
+    return result
