@@ -176,7 +176,7 @@ def stack_tracks(tracks: Sequence[Track]) -> Keys:
     )
 
 
-def _locate(keys: Keys, times_s: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def locate(keys: Keys, times_s: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Segment within each list of key times, (G, A), and the place u ∈ [0, 1] inside it, (G, A)."""
     # Times before the first list's keys or beyond a list's last one must not stray into a neighbouring list.
     asked = keys.shifts[:, None] + np.clip(times_s, 0.0, keys.shifts[1] / 2 if len(keys.shifts) > 1 else None)
@@ -221,5 +221,5 @@ def evaluate(keys: Keys, times_s: NDArray[np.float64], dtype: np.dtype[Any]) -> 
     """
     if not keys.banks:
         return []
-    segments, u = _locate(keys, times_s)
+    segments, u = locate(keys, times_s)
     return [(bank, _evaluate(bank, segments, u, dtype)) for bank in keys.banks]
