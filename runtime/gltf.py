@@ -76,7 +76,9 @@ class Document:
         """
         entries = self.items(kind)
         if not isinstance(index, int) or isinstance(index, bool) or not 0 <= index < len(entries):
-            raise AssetError(f"{self.path.name}: {kind}[{index}] does not exist (there are {len(entries)}): export again")
+            raise AssetError(
+                f"{self.path.name}: {kind}[{index}] does not exist (there are {len(entries)}): export again"
+            )
         return entries[index]
 
     def accessor(self, index: int) -> NDArray[Any]:
@@ -112,7 +114,9 @@ class Document:
         if len(shape) == 2:
             values = np.ascontiguousarray(values.swapaxes(1, 2))
         if spec.get("normalized") and dtype.kind in "iu":
-            values = np.maximum(values / np.float32(np.iinfo(dtype).max), np.float32(-1.0)).astype(np.float32, copy=False)
+            values = np.maximum(values / np.float32(np.iinfo(dtype).max), np.float32(-1.0)).astype(
+                np.float32, copy=False
+            )
         return values
 
     def view_bytes(self, index: int) -> bytes:
@@ -150,7 +154,9 @@ class Document:
         """
         missing = sorted(set(map(str, self.json.get("extensionsRequired", []))) - set(supported))
         if missing:
-            raise AssetError(f"{self.path.name} requires {', '.join(missing)}: export it again without ({_advice(missing)})")
+            raise AssetError(
+                f"{self.path.name} requires {', '.join(missing)}: export it again without ({_advice(missing)})"
+            )
 
     def _apply_sparse(
         self, values: NDArray[Any], sparse: dict[str, Any], dtype: np.dtype[Any], shape: tuple[int, ...], where: str
@@ -250,16 +256,19 @@ def _parse_json(data: bytes, path: Path) -> dict[str, Any]:
     try:
         root = json.loads(data.decode("utf-8-sig"))
     except (ValueError, RecursionError):
-        raise AssetError(f"{path.name} is not a glTF file: its JSON does not parse: export it as .glb or .gltf") from None
+        raise AssetError(
+            f"{path.name} is not a glTF file: its JSON does not parse: export it as .glb or .gltf"
+        ) from None
     if not isinstance(root, dict) or not isinstance(root.get("asset"), dict):
         raise AssetError(f"{path.name} is not a glTF file: it has no asset object: export it as .glb or .gltf")
     version = str(root["asset"].get("version", ""))
     if not version.startswith("2"):
         raise AssetError(f"{path.name} is glTF version {version or 'unknown'}: export it as glTF 2.0")
     for name, entries in root.items():
-        if isinstance(entries, list) and not name.startswith("extensions"):
-            if not all(isinstance(entry, dict) for entry in entries):
-                raise AssetError(f"{path.name}: {name} holds something that is not an object: export again")
+        if not isinstance(entries, list) or name.startswith("extensions"):
+            continue
+        if not all(isinstance(entry, dict) for entry in entries):
+            raise AssetError(f"{path.name}: {name} holds something that is not an object: export again")
     return root
 
 

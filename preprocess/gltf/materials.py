@@ -116,7 +116,9 @@ class _Reader:
         where = f"{self.document.path.name}: material {index} ({name})"
         extensions = spec.get("extensions", {})
         dropped = sorted(
-            key for key in extensions if key.startswith(("KHR_materials", "EXT_materials")) and key not in READ_EXTENSIONS
+            key
+            for key in extensions
+            if key.startswith(("KHR_materials", "EXT_materials")) and key not in READ_EXTENSIONS
         )
         if dropped:
             self.warnings.append(f"material {name}: {', '.join(dropped)} dropped")
@@ -144,7 +146,9 @@ class _Reader:
             double_sided=bool(spec.get("doubleSided", False)),
             unlit="KHR_materials_unlit" in extensions,
             base_color=self.texture(base.get("baseColorTexture"), f"{where}: base colour texture"),
-            metallic_roughness=self.texture(base.get("metallicRoughnessTexture"), f"{where}: metallic-roughness texture"),
+            metallic_roughness=self.texture(
+                base.get("metallicRoughnessTexture"), f"{where}: metallic-roughness texture"
+            ),
             normal=self.texture(normal, f"{where}: normal texture"),
             occlusion=self.texture(occlusion, f"{where}: occlusion texture"),
             emissive=self.texture(spec.get("emissiveTexture"), f"{where}: emissive texture"),

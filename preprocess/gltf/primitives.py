@@ -60,7 +60,9 @@ def _attribute(
     if values.ndim != 2 or values.shape[1] not in widths:
         raise InputError(f"{where}: {name} has the wrong type: export the file again")
     if len(values) != num_vertices:
-        raise InputError(f"{where}: {name} has {len(values)} entries for {num_vertices} vertices: export the file again")
+        raise InputError(
+            f"{where}: {name} has {len(values)} entries for {num_vertices} vertices: export the file again"
+        )
     return values
 
 
@@ -75,7 +77,9 @@ def _triangles(mode: int, indices: NDArray[np.int64]) -> NDArray[np.int64]:
     return indices[np.stack([first, first + 1 + odd, first + 2 - odd], axis=1)]
 
 
-def _read_faces(document: Document, spec: dict[str, Any], mode: int, num_vertices: int, where: str) -> NDArray[np.int64]:
+def _read_faces(
+    document: Document, spec: dict[str, Any], mode: int, num_vertices: int, where: str
+) -> NDArray[np.int64]:
     if "indices" not in spec:
         return _triangles(mode, np.arange(num_vertices))
     indices = document.accessor(spec["indices"])
@@ -91,7 +95,12 @@ def _read_faces(document: Document, spec: dict[str, Any], mode: int, num_vertice
 
 
 def _blend_targets(
-    document: Document, spec: dict[str, Any], weights: list[float], positions: Floats, normals: Floats | None, where: str
+    document: Document,
+    spec: dict[str, Any],
+    weights: list[float],
+    positions: Floats,
+    normals: Floats | None,
+    where: str,
 ) -> tuple[Floats, Floats | None]:
     """Positions and normals with the default weights of the morph targets applied."""
     for target, weight in zip(spec["targets"], weights):
@@ -114,7 +123,9 @@ def _unit(vectors: Floats) -> Floats:
     return units
 
 
-def _numbered(document: Document, attributes: dict[str, Any], stem: str, count: int, width: int, where: str) -> list[Any]:
+def _numbered(
+    document: Document, attributes: dict[str, Any], stem: str, count: int, width: int, where: str
+) -> list[Any]:
     """Values of STEM_0, STEM_1 ... until one is missing."""
     found = []
     for number in range(MAX_SETS):
@@ -172,7 +183,9 @@ def read_primitive(
     attributes = spec.get("attributes", {})
     if "KHR_draco_mesh_compression" in spec.get("extensions", {}):
         if "bufferView" not in document.item("accessors", attributes.get("POSITION")):
-            raise InputError(f"{where} is compressed with Draco: decompress the file, for example with `gltf-transform copy`")
+            raise InputError(
+                f"{where} is compressed with Draco: decompress the file, for example with `gltf-transform copy`"
+            )
         warnings.append(f"{where}: its uncompressed copy is read instead of the Draco one")
     if "POSITION" not in attributes:
         return None, [f"{where}: it has no positions: dropped"]

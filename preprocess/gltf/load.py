@@ -1,0 +1,330 @@
+"""A character file into one welded, oriented, manifold, skinned mesh.
+
+read document -> parts in bind pose -> weld -> drop degenerate and doubled faces -> split non-manifold -> normals.
+Everything that changes what the file says is counted in the character's warnings.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import logging
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from preprocess.errors import InputError
+from preprocess.gltf.character import Character, Material
+from preprocess.gltf.grouping import Indices, group_rows
+from preprocess.gltf.manifold import Manifold, make_manifold
+from preprocess.gltf.materials import read_materials
+from preprocess.gltf.normals import CREASE_RAD, face_normals, smooth_corner_normals
+from preprocess.gltf.scene import Part, Scene, read_scene
+from preprocess.gltf.weld import (
+    Soup,
+    Welded,
+    canonical_influences,
+    faces_with_area,
+    find_duplicates,
+    weld_vertices,
+)
+from preprocess.mesh import Floats, SkinnedMesh, TexturedSurface
+from runtime.clip import read_clips
+from runtime.errors import AssetError
+from runtime.gltf import Document, read_document
+from runtime.skeleton import read_skeleton
+
+log = logging.getLogger(__name__)
+
+# Extensions that a file may require: read, or safe to leave out of a character.
+SUPPORTED_EXTENSIONS = (
+    "KHR_texture_transform",
+    "KHR_mesh_quantization",
+    "KHR_materials_unlit",
+    "KHR_materials_emissive_strength",
+    "KHR_materials_pbrSpecularGlossiness",
+    "KHR_materials_ior",
+    "KHR_materials_specular",
+    "KHR_materials_clearcoat",
+    "KHR_materials_sheen",
+    "KHR_materials_transmission",
+    "KHR_materials_volume",
+    "KHR_materials_anisotropy",
+    "KHR_materials_iridescence",
+    "KHR_materials_variants",
+    "KHR_lights_punctual",
+    "KHR_xmp_json_ld",
+    "EXT_texture_webp",
+    "KHR_draco_mesh_compression",  # refused at the primitive, unless it has an uncompressed copy
+    "EXT_meshopt_compression",  # refused at the buffer view
+    "VRM",
+    "VRMC_vrm",
+    "VRMC_materials_mtoon",
+    "VRMC_springBone",
+    "VRMC_node_constraint",
+    "MSFT_lod",
+)
+
+
+def _stack_parts(parts: tuple[Part, ...], material_index: dict[int | None, int]) -> Soup:
+    """All parts one after the other; missing values filled in: NaN normals, white colours, zero uvs."""
+    counts = [len(part.positions) for part in parts]
+    starts = np.cumsum([0, *counts[:-1]])
+    num_texcoords = max(part.source.texcoords.shape[1] for part in parts)
+    num_influences = max(part.joints.shape[1] for part in parts)
+
+    def padded(values: NDArray[np.generic], width: int) -> NDArray[np.generic]:
+        missing = [(0, 0)] * values.ndim
+        missing[1] = (0, width - values.shape[1])
+        return np.pad(values, missing)
+
+    joints, weights = canonical_influences(
+        np.concatenate([padded(part.joints, num_influences) for part in parts]),
+        np.concatenate([padded(part.weights, num_influences) for part in parts]),
+    )
+    colors = None
+    if any(part.source.colors is not None for part in parts):
+        white = [np.ones((count, 4), np.float32) for count in counts]
+        colors = np.concatenate(
+            [part.source.colors if part.source.colors is not None else one for part, one in zip(parts, white)]
+        )
+    tangents = None
+    if all(part.tangents is not None for part in parts):
+        tangents = np.concatenate([part.tangents for part in parts if part.tangents is not None])
+    return Soup(
+        positions=np.concatenate([part.positions for part in parts]),
+        normals=np.concatenate([part.normals for part in parts]),
+        tangents=tangents,
+        texcoords=np.concatenate([padded(part.source.texcoords, num_texcoords) for part in parts]),
+        has_texcoord=np.repeat([part.source.texcoords.shape[1] > 0 for part in parts], counts),
+        colors=colors,
+        joints=joints,
+        weights=weights,
+        faces=np.concatenate([part.faces + start for part, start in zip(parts, starts)]),
+        face_parts=np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts]),
+        face_materials=np.repeat(
+            [material_index[part.source.material] for part in parts], [len(part.faces) for part in parts]
+        ),
+    )
+
+
+def _remove_duplicates(
+    soup: Soup, welded: Welded, materials: tuple[Material, ...], diagonal_m: float, warnings: list[str]
+) -> tuple[Soup, tuple[Material, ...]]:
+    """The soup without faces that have no area or are drawn twice; a material more for fronts that lost their back."""
+    positions = soup.positions[welded.vertex_firsts]
+    solid = faces_with_area(positions, welded.vertex_of[soup.faces], diagonal_m)
+    if not solid.all():
+        warnings.append(f"{int((~solid).sum())} triangles without area removed")
+    if not solid.any():
+        raise InputError("the mesh has no triangle with an area: export the file again")
+    faces, face_materials = soup.faces[solid], soup.face_materials[solid]
+    face_parts = soup.face_parts[solid]
+    is_double_sided = np.array([material.double_sided for material in materials])
+    found = find_duplicates(welded.vertex_of[faces], welded.uv_of[faces], face_materials, is_double_sided)
+    if found.num_same:
+        warnings.append(f"{found.num_same} duplicate triangles removed")
+    if found.num_opposite:
+        warnings.append(f"{found.num_opposite} triangles that were the back of another removed: drawn double-sided")
+    for index in np.unique(face_materials[found.becomes_double_sided]):
+        changed = found.becomes_double_sided & (face_materials == index)
+        twin = dataclasses.replace(materials[index], name=f"{materials[index].name} (double-sided)", double_sided=True)
+        face_materials = np.where(changed, len(materials), face_materials)
+        materials = (*materials, twin)
+    kept = dataclasses.replace(
+        soup, faces=faces[found.keep], face_materials=face_materials[found.keep], face_parts=face_parts[found.keep]
+    )
+    return kept, materials
+
+
+def _report_manifold(manifold: Manifold, warnings: list[str]) -> None:
+    if manifold.num_split_edges:
+        warnings.append(f"{manifold.num_split_edges} edges with three or more faces split")
+    if manifold.num_split_vertices:
+        warnings.append(f"{manifold.num_split_vertices} vertices added where surfaces met in a point or an edge")
+    if manifold.num_turned:
+        warnings.append(f"{manifold.num_turned} triangles turned over to face the same way as their neighbours")
+    if manifold.num_unorientable:
+        warnings.append(f"{manifold.num_unorientable} one-sided surfaces cut along a line")
+
+
+def _corner_normals(
+    soup: Soup, corner_sources: Indices, manifold: Manifold, positions: Floats, warnings: list[str]
+) -> Floats:
+    """The file's normals a corner; computed where it has none; turned where their face was."""
+    corner: Floats = soup.normals[corner_sources]
+    missing = np.isnan(corner).any(axis=2)
+    turned = (manifold.corners[:, 1] == 2)[:, None]
+    if turned.any():
+        facing = np.einsum("fkc,fc->fk", corner, face_normals(positions, manifold.faces))
+        corner = np.where((turned & (facing < 0))[:, :, None], -corner, corner)
+    if missing.any():
+        count, degrees = int(missing.any(axis=1).sum()), round(float(np.rad2deg(CREASE_RAD)))
+        warnings.append(f"{count} triangles without normals: made smooth, edges over {degrees} degrees stay hard")
+        smooth = smooth_corner_normals(positions, manifold.faces)
+        corner = np.where(missing[:, :, None], smooth, corner)
+    return corner
+
+
+def _build_mesh(soup: Soup, welded: Welded, manifold: Manifold, warnings: list[str]) -> SkinnedMesh:
+    """Arrays a corner and a vertex, in the order of the manifold."""
+    corner_sources = np.take_along_axis(soup.faces, manifold.corners, axis=1)
+    firsts = welded.vertex_firsts[manifold.vertex_origin]
+    positions = soup.positions[firsts]
+    corner_normals = _corner_normals(soup, corner_sources, manifold, positions, warnings)
+    has_uvs = soup.has_texcoord[corner_sources]
+    if has_uvs.any():
+        clusters = welded.uv_of[corner_sources].reshape(-1)
+        face_uvs, uv_corners = group_rows(manifold.faces.reshape(-1), clusters)
+        uvs = soup.texcoords[welded.uv_firsts[clusters[uv_corners]], 0]
+    else:
+        face_uvs, uvs = np.zeros(manifold.faces.size, np.int64), np.zeros((1, 2))
+    if not has_uvs.all():
+        count = int((~has_uvs).any(axis=1).sum())
+        warnings.append(f"{count} of {len(has_uvs)} triangles have no texture coordinates")
+    surface = TexturedSurface(
+        positions=positions,
+        faces=manifold.faces.astype(np.int32),
+        uvs=uvs,
+        face_uvs=face_uvs.reshape(-1, 3).astype(np.int32),
+    )
+    tangents = None
+    if soup.tangents is not None:
+        tangents = soup.tangents[corner_sources]
+        tangents[manifold.corners[:, 1] == 2, :, 3] *= -1
+    return SkinnedMesh(
+        surface=surface,
+        corner_normals=corner_normals,
+        corner_tangents=tangents,
+        corner_texcoords=soup.texcoords[corner_sources],
+        corner_colors=None if soup.colors is None else soup.colors[corner_sources],
+        joint_indices=soup.joints[firsts].astype(np.int32),
+        joint_weights=soup.weights[firsts],
+        face_materials=soup.face_materials.astype(np.int32),
+        face_parts=soup.face_parts.astype(np.int32),
+        has_uvs=bool(has_uvs.all()),
+    )
+
+
+def unify(
+    scene: Scene, materials: tuple[Material, ...], material_index: dict[int | None, int], warnings: list[str]
+) -> tuple[SkinnedMesh, tuple[Material, ...]]:
+    """Weld the parts of a scene into one mesh.
+
+    Parameters
+    ----------
+    scene : Scene
+    materials : tuple of Material
+    material_index : dict
+        From a material index of the file (or None) into `materials`.
+    warnings : list of str
+        What is changed is added to it.
+
+    Returns
+    -------
+    mesh : SkinnedMesh
+    materials : tuple of Material
+        Longer where fronts took over for their backs.
+    """
+    soup = _stack_parts(scene.parts, material_index)
+    used = np.unique(soup.faces)
+    diagonal_m = float(np.linalg.norm(np.ptp(soup.positions[used], axis=0)))
+    soup = _without_unused(soup, used)
+    welded = weld_vertices(soup, diagonal_m)
+    log.info(
+        "weld: %d source vertices -> %d points of the surface (%d coincide but move apart)",
+        len(soup.positions),
+        len(welded.vertex_firsts),
+        welded.num_apart,
+    )
+    soup, materials = _remove_duplicates(soup, welded, materials, diagonal_m, warnings)
+    manifold = make_manifold(
+        welded.vertex_of[soup.faces],
+        soup.positions[welded.vertex_firsts],
+        soup.faces,
+        welded.uv_of[soup.faces],
+        soup.face_parts,
+    )
+    _report_manifold(manifold, warnings)
+    return _build_mesh(soup, welded, manifold, warnings), materials
+
+
+def _without_unused(soup: Soup, used: Indices) -> Soup:
+    """The soup with only the vertices that faces use."""
+    renumber = np.zeros(len(soup.positions), np.int64)
+    renumber[used] = np.arange(len(used))
+    return dataclasses.replace(
+        soup,
+        positions=soup.positions[used],
+        normals=soup.normals[used],
+        tangents=None if soup.tangents is None else soup.tangents[used],
+        texcoords=soup.texcoords[used],
+        has_texcoord=soup.has_texcoord[used],
+        colors=None if soup.colors is None else soup.colors[used],
+        joints=soup.joints[used],
+        weights=soup.weights[used],
+        faces=renumber[soup.faces],
+    )
+
+
+def _load(document: Document) -> Character:
+    document.require_extensions(SUPPORTED_EXTENSIONS)
+    scene = read_scene(document)
+    warnings = list(scene.warnings)
+    if all(part.skin is None for part in scene.parts):
+        warnings.append("the file has no skin: its parts move with their nodes")
+    used = list(dict.fromkeys(part.source.material for part in scene.parts))
+    num_texcoords = max(part.source.texcoords.shape[1] for part in scene.parts)
+    materials, notes = read_materials(document, used, num_texcoords)
+    warnings += notes
+    mesh, materials = unify(scene, materials, {index: at for at, index in enumerate(used)}, warnings)
+    mesh.validate()
+    skeleton = read_skeleton(document, scene.joint_nodes.tolist(), scene.inverse_bind)
+    return Character(
+        name=document.path.stem,
+        source=document.path,
+        source_hash=hashlib.sha256(document.path.read_bytes()).hexdigest(),
+        mesh=mesh,
+        skeleton=skeleton,
+        clips=read_clips(document, skeleton),
+        materials=materials,
+        warnings=tuple(warnings),
+    )
+
+
+def load_character(path: Path | str) -> Character:
+    """Load a .gltf, .glb or .vrm file as one character.
+
+    Everything in the default scene that has a mesh becomes one welded mesh in bind pose (binding.py says what that
+    is) with one joint list: skinned primitives keep their weights, rigid parts get weight one on their node.
+    Vertices weld by position and weights (weld.py), non-manifold places are split (manifold.py), missing normals are
+    made (normals.py). Skinning the result in any pose gives the file's own picture.
+
+    Parameters
+    ----------
+    path : Path or str
+
+    Returns
+    -------
+    Character
+
+    Raises
+    ------
+    InputError
+        If the file is missing, not glTF 2.0, damaged, compressed, or has no mesh: one line that says what to do.
+    """
+    try:
+        character = _load(read_document(path))
+    except AssetError as error:
+        raise InputError(str(error)) from None
+    log.info(
+        "loaded %s: %d faces, %d vertices, %d joints, %d clips, %d materials",
+        character.name,
+        character.mesh.num_faces,
+        character.mesh.num_vertices,
+        character.skeleton.num_joints,
+        len(character.clips),
+        len(character.materials),
+    )
+    return character
