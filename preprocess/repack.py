@@ -324,7 +324,7 @@ def _chart_boxes(points: Floats, faces: NDArray[np.integer], face_charts: Int64s
 def _relative_scales(surface: TexturedSurface, face_charts: Int64s, density: str) -> Floats:
     """Factor a chart on its source uvs, (C,) float64; charts without area take the median factor.
 
-    No chart becomes longer than twice its box in space: needles in uv have no area to speak of, and would fill the atlas.
+    No chart becomes longer than twice its box in space: needles in uv have no area, and would fill the atlas.
     """
     num_charts = int(face_charts.max()) + 1
     if density == "source":

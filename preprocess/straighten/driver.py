@@ -319,7 +319,7 @@ def _points_near_folds(chains: Chains, kept: Bools, folded_uvs: Ints, uv_charts:
     if not len(folded_uvs):
         return result
     folded_uvs = folded_uvs[folded_uvs < len(uv_charts)]
-    before, after = run_ends(kept)
+    before, _ = run_ends(kept)
     touched = np.isin(chains.uv_ids, folded_uvs).any(axis=1)
     runs = np.zeros(len(kept), bool)
     runs[before[touched]] = True

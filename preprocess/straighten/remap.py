@@ -15,15 +15,15 @@ without area, the triangle's shape in space, at its chart's scale.
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import cg
 
 from preprocess.mesh import Floats, TexturedSurface
 
@@ -35,6 +35,9 @@ SQUEEZED_SHAPE = 2.0  # |J|² / (2 det J), 1 where angles are kept: a triangle a
 PATCH_RINGS = 4  # faces around a squeezed one that may move with it
 OUTER_STEPS = 12  # regularisation steps; the energy is nearly the barrier itself after a few
 INNER_STEPS = 80  # L-BFGS iterations a step
+HISTORY = 10  # of L-BFGS
+MOST_HALVINGS = 12  # of a step that does not lower the energy
+MOST_CG_STEPS = 1000
 AREA_WEIGHT = 0.25  # of keeping areas against keeping angles
 
 
@@ -172,6 +175,73 @@ def _energy(points, faces, inverse, areas, epsilon, gradient):  # type: ignore[n
     return total
 
 
+def _solve_cg(system: csr_array, right: Floats) -> Floats:
+    """Conjugate gradients, to a relative residual of 1e-5: it makes a starting point only, so exactness is idle.
+
+    NumPy's own sums, here and below, give the same bits whatever the number of threads; BLAS does not.
+    """
+    solution, residual = np.zeros_like(right), right.copy()
+    direction, square = residual.copy(), float((residual * residual).sum())
+    goal = 1e-10 * square
+    for _ in range(MOST_CG_STEPS):
+        if square <= goal:
+            break
+        image = system @ direction
+        step = square / float((direction * image).sum())
+        solution += step * direction
+        residual -= step * image
+        before, square = square, float((residual * residual).sum())
+        direction = residual + (square / before) * direction
+    return solution
+
+
+def _minimise(evaluate: Callable[[Floats], tuple[float, Floats]], x: Floats, steps: int) -> tuple[Floats, float]:
+    """L-BFGS with backtracking (Nocedal 1980): the point reached and its value, never above the start's."""
+    value, gradient = evaluate(x)
+    history: deque[tuple[Floats, Floats, float]] = deque(maxlen=HISTORY)
+    for _ in range(steps):
+        direction = -gradient
+        pending = []
+        for move, change, product in reversed(history):
+            factor = float((move * direction).sum()) / product
+            direction -= factor * change
+            pending.append(factor)
+        if history:
+            move, change, product = history[-1]
+            direction *= product / float((change * change).sum())
+        for (move, change, product), factor in zip(history, reversed(pending), strict=True):
+            direction += (factor - float((change * direction).sum()) / product) * move
+        slope = float((direction * gradient).sum())
+        if slope >= 0.0:
+            if not history:
+                break
+            history.clear()
+            continue
+        length = 1.0 if history else min(1.0, 0.1 / max(float(np.abs(direction).max()), 1e-300))
+        for _ in range(MOST_HALVINGS):
+            trial = x + length * direction
+            trial_value, trial_gradient = evaluate(trial)
+            if trial_value <= value + 1e-4 * length * slope:
+                break
+            # The minimum of the parabola through what is known, within bounds that cannot stall or overshoot.
+            curve = trial_value - value - length * slope
+            length *= min(max(-0.5 * length * slope / curve, 0.1), 0.5) if np.isfinite(curve) else 0.1
+        else:
+            if not history:
+                break
+            history.clear()
+            continue
+        move, change = trial - x, trial_gradient - gradient
+        product = float((move * change).sum())
+        if product > 1e-12 * float((change * change).sum()):
+            history.append((move, change, product))
+        done = value - trial_value <= 1e-6 * abs(value)
+        x, value, gradient = trial, trial_value, trial_gradient
+        if done:
+            break
+    return x, value
+
+
 def _spread_harmonically(surface: TexturedSurface, displacement: Floats, fixed: Bools, rest: RestShapes) -> Floats:
     """Harmonic extension of the fixed vertices' displacement into the interior, (T, 2) float64.
 
@@ -204,8 +274,7 @@ def _spread_harmonically(surface: TexturedSurface, displacement: Floats, fixed: 
     result = displacement.copy()
     for axis in range(2):
         if right[:, axis].any():
-            solution, _ = cg(system, scale * right[:, axis], rtol=1e-5, maxiter=2000)  # a start only: exactness is idle
-            result[free, axis] = scale * solution
+            result[free, axis] = scale * _solve_cg(system, scale * right[:, axis])
     return result
 
 
@@ -219,27 +288,23 @@ def _relax(surface: TexturedSurface, uvs: Floats, faces: NDArray[np.int64], free
     # One unit of length and energy for the solver: the mean rest triangle's. A floor keeps slivers from being ignored.
     unit = np.sqrt(areas.mean())
     points, inverse, areas = points / unit, inverse * unit, np.maximum(areas / areas.mean(), 0.1)
-    jacobian_faces = ids
 
-    def evaluate(x: Floats, epsilon: float) -> tuple[float, Floats]:
-        points[moves] = x.reshape(-1, 2)
-        gradient = np.zeros_like(points)
-        energy = _energy(points, jacobian_faces, inverse, areas, epsilon, gradient)
-        return energy, gradient[moves].ravel()
-
-    x = points[moves].ravel()
-    previous = np.inf
+    x, previous = points[moves].ravel(), np.inf
     for _ in range(OUTER_STEPS):
+        points[moves] = x.reshape(-1, 2)
         least = float(_det(_edge_matrices(points, ids) @ inverse).min())
         epsilon = float(np.sqrt(1e-10 + 0.04 * min(least, 0.0) ** 2))
-        found = minimize(
-            evaluate, x, args=(epsilon,), jac=True, method="L-BFGS-B", options={"maxiter": INNER_STEPS, "maxcor": 12}
-        )
-        x = found.x
-        points[moves] = x.reshape(-1, 2)
-        if least > LEAST_AREA and found.fun > 0.999 * previous:
+
+        def evaluate(x: Floats, epsilon: float = epsilon) -> tuple[float, Floats]:
+            points[moves] = x.reshape(-1, 2)
+            gradient = np.zeros_like(points)
+            return _energy(points, ids, inverse, areas, epsilon, gradient), gradient[moves].ravel()
+
+        x, value = _minimise(evaluate, x, INNER_STEPS)
+        if least > LEAST_AREA and value > 0.999 * previous:
             break
-        previous = found.fun if least > LEAST_AREA else np.inf
+        previous = value if least > LEAST_AREA else np.inf
+    points[moves] = x.reshape(-1, 2)
     result = uvs.copy()
     result[local[moves]] = points[moves] * unit
     return result
