@@ -12,8 +12,6 @@ A rigid part hangs on its node with weight one; it stands where its nearest ance
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -58,38 +56,39 @@ class JointList:
         return len(self.nodes) - 1
 
 
-@dataclass(frozen=True)
-class Moments:
-    """Weighted second moments of the points that each of a skin's J joints moves, (J, 4, 4), homogeneous."""
+def moments_of(positions: Floats, joints: NDArray[np.int64], weights: Floats, num_joints: int) -> Floats:
+    """Weighted second moments of the points that each joint moves: what the distance between two placements needs.
 
-    matrices: Floats
+    Parameters
+    ----------
+    positions : (N, 3) float64
+    joints : (N, K) int64
+    weights : (N, K) float64
+    num_joints : int
 
-    @property
-    def masses(self) -> Floats:
-        """Sum of the weights of each joint, (J,)."""
-        return self.matrices[:, 3, 3]
-
-
-def moments_of(positions: Floats, joints: NDArray[np.int64], weights: Floats, num_joints: int) -> Moments:
-    """Second moments of points (N, 3) under weights (N, K) of joints (N, K)."""
+    Returns
+    -------
+    (J, 4, 4) float64
+        Sums of w p p^T over homogeneous points; the last entry of each is the joint's mass.
+    """
     homogeneous = np.concatenate([positions, np.ones((len(positions), 1))], axis=1)
     outer = np.einsum("ni,nj->nij", homogeneous, homogeneous).reshape(-1, 16)
     total = np.zeros((num_joints, 16))
     for k in range(joints.shape[1]):  # a handful of influences
         for component in range(16):
             total[:, component] += np.bincount(joints[:, k], weights[:, k] * outer[:, component], minlength=num_joints)
-    return Moments(total.reshape(-1, 4, 4))
+    return total.reshape(-1, 4, 4)
 
 
-def _mismatch(placement: Floats, drawn: Floats, moments: Moments) -> float:
+def _mismatch(placement: Floats, drawn: Floats, moments: Floats) -> float:
     """Sum over points and joints of the weighted squared distance between `placement` p and the drawn rest pose."""
     difference = (drawn - placement)[:, :3]
-    return float(np.einsum("jrc,jcd,jrd->", difference, moments.matrices, difference))
+    return float(np.einsum("jrc,jcd,jrd->", difference, moments, difference))
 
 
 def place_skin(
     drawn: Floats,
-    moments: Moments,
+    moments: Floats,
     canonical: list[Floats],
     known: dict[int, Floats],
     nodes: list[int],
@@ -101,7 +100,8 @@ def place_skin(
     ----------
     drawn : (J, 4, 4) float64
         G(j) I(j) with the nodes' rest transforms.
-    moments : Moments
+    moments : (J, 4, 4) float64
+        Of the skin's meshes (`moments_of`).
     canonical : list of (4, 4)
         Preferred placements, the best first.
     known : dict of node -> (4, 4)
@@ -114,7 +114,7 @@ def place_skin(
     -------
     (4, 4) float64, invertible
     """
-    masses = moments.masses
+    masses = moments[:, 3, 3]
     by_mass = np.argsort(-masses, kind="stable")
     for j in by_mass:
         if masses[j] > 0 and nodes[j] in known:
@@ -127,7 +127,7 @@ def place_skin(
     if not candidates:
         return np.eye(4)
     misses = [_mismatch(candidate, drawn, moments) for candidate in candidates]
-    size_sq = np.einsum("jrc,jcd,jrd->", drawn[:, :3], moments.matrices, drawn[:, :3])
+    size_sq = np.einsum("jrc,jcd,jrd->", drawn[:, :3], moments, drawn[:, :3])
     limit = CANONICAL_SLACK * min(misses) + MATCH_REL_SQ * size_sq
     for index in range(num_canonical):
         if misses[index] <= limit:

@@ -49,8 +49,8 @@ def join_pairs(num_items: int, left: Indices, right: Indices) -> tuple[int, Indi
     labels : (n,) int64
     """
     graph = coo_array((np.ones(len(left), np.int8), (left, right)), shape=(num_items, num_items))
-    _, labels = connected_components(graph, directed=False)
-    labels, firsts = group_rows(labels)
+    _, components = connected_components(graph, directed=False)
+    labels, firsts = group_rows(components)
     return len(firsts), labels
 
 

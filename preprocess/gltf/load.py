@@ -154,7 +154,7 @@ def _corner_normals(
 ) -> Floats:
     """The file's normals a corner; computed where it has none; turned where their face was."""
     corner: Floats = soup.normals[corner_sources]
-    missing = np.isnan(corner).any(axis=2)
+    missing = np.logical_or.reduce(np.isnan(corner), axis=2)
     turned = (manifold.corners[:, 1] == 2)[:, None]
     if turned.any():
         facing = np.einsum("fkc,fc->fk", corner, face_normals(positions, manifold.faces))

@@ -8,7 +8,6 @@ weighted by the angle at the corner (Thuermer and Wuethrich 1998), within groups
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from preprocess.gltf.grouping import Indices, group_rows, join_pairs
 from preprocess.mesh import Floats
@@ -70,7 +69,8 @@ def smooth_corner_normals(positions: Floats, faces: Indices, crease_rad: float =
     num_groups, groups = join_pairs(faces.size, *smooth_edges(normals, faces, crease_rad))
     weighted = (normals[:, None, :] * corner_angles(positions, faces)[:, :, None]).reshape(-1, 3)
     sums = np.stack([np.bincount(groups, weighted[:, c], minlength=num_groups) for c in range(3)], axis=1)
-    corner: NDArray[np.float64] = sums[groups].reshape(-1, 3, 3)
+    corner = sums[groups].reshape(-1, 3, 3)
     lengths = np.linalg.norm(corner, axis=2, keepdims=True)
     flat = np.repeat(normals[:, None, :], 3, axis=1)
-    return np.where(lengths > 1e-9, corner / np.maximum(lengths, 1e-300), flat)
+    smooth: Floats = np.where(lengths > 1e-9, corner / np.maximum(lengths, 1e-300), flat)
+    return smooth

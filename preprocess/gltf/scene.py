@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.errors import InputError
-from preprocess.gltf.binding import JointList, Moments, moments_of, place_rigid, place_skin
+from preprocess.gltf.binding import JointList, moments_of, place_rigid, place_skin
 from preprocess.gltf.primitives import Primitive, read_primitive
 from preprocess.mesh import Floats
 from runtime.gltf import Document
@@ -241,7 +241,7 @@ class _Binder:
             node, depth = int(self.parents[node]), depth + 1
         return depth
 
-    def add_skin(self, skin: _Skin, mesh_node: int, moments: Moments) -> tuple[Floats, NDArray[np.int64]]:
+    def add_skin(self, skin: _Skin, mesh_node: int, moments: Floats) -> tuple[Floats, NDArray[np.int64]]:
         """Placement of a skin's meshes and the joint of each of its joints."""
         top = int(self.parents[min(skin.nodes, key=self._depth)])
         above = self.rest[top] if top >= 0 else np.eye(4)
@@ -263,7 +263,8 @@ class _Binder:
     def add_rigid(self, node: int) -> tuple[Floats, int]:
         """Placement of a rigid part and its joint."""
         placement = place_rigid(node, self.parents, self.rest, self.known)
-        return placement, self.joints.add(node, np.linalg.inv(placement), self.size_m)
+        inverse = np.linalg.inv(placement).astype(np.float64)
+        return placement, self.joints.add(node, inverse, self.size_m)
 
 
 def read_scene(document: Document) -> Scene:
@@ -295,8 +296,10 @@ def read_scene(document: Document) -> Scene:
     placed: dict[int, Part] = {}
     for index, members in skinned.items():
         skin = skins[index]
-        moments = Moments(sum(moments_of(i.primitive.positions, j, w, len(skin.nodes)).matrices for i, j, w in members))
-        placement, to_joint = binder.add_skin(skin, members[0][0].node, moments)
+        total = np.zeros((len(skin.nodes), 4, 4))
+        for instance, joints, weights in members:
+            total += moments_of(instance.primitive.positions, joints, weights, len(skin.nodes))
+        placement, to_joint = binder.add_skin(skin, members[0][0].node, total)
         for instance, joints, weights in members:
             placed[id(instance)] = _place(instance, placement, to_joint[joints], weights)
     for instance in instances:
