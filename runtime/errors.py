@@ -1,8 +1,15 @@
-"""The one exception of the runtime's readers: a file is at fault, not this program."""
+"""The exceptions of the runtime: a file is at fault, or something that was asked for cannot be drawn."""
 
 
 class AssetError(Exception):
     """A file that cannot be used.
 
     The message is one line: what is wrong, where (file, accessor, texture), what to do.
+    """
+
+
+class RenderError(Exception):
+    """Something that cannot be drawn: a context too old or released, an object already released, a bad pose.
+
+    The message is one line (a shader's compile log follows it): what is wrong, with what, what to do.
     """

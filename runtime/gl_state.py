@@ -1,0 +1,209 @@
+"""The GL state that drawing touches, saved before and put back after, asked of the driver itself.
+
+moderngl keeps no record of what other code did to the context, so this talks to GL directly: the same few functions
+everywhere, found through the platform's own loader. Nothing here changes what moderngl believes about the context.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import lru_cache
+from typing import Any
+
+from runtime.errors import RenderError
+
+# OpenGL's names for what is saved.
+CULL_FACE, DEPTH_TEST, BLEND, POLYGON_OFFSET_FILL = 0x0B44, 0x0B71, 0x0BE2, 0x8037
+POLYGON_OFFSET_LINE, SAMPLE_ALPHA_TO_COVERAGE, FRAMEBUFFER_SRGB, RASTERIZER_DISCARD = 0x2A02, 0x809E, 0x8DB9, 0x8C89
+CAPABILITIES = (
+    CULL_FACE, DEPTH_TEST, BLEND, POLYGON_OFFSET_FILL, POLYGON_OFFSET_LINE, SAMPLE_ALPHA_TO_COVERAGE, FRAMEBUFFER_SRGB,
+)  # fmt: skip
+CULL_FACE_MODE, FRONT_FACE, DEPTH_FUNC, DEPTH_WRITEMASK, POLYGON_MODE = 0x0B45, 0x0B46, 0x0B74, 0x0B72, 0x0B40
+BLEND_DST_RGB, BLEND_SRC_RGB, BLEND_DST_ALPHA, BLEND_SRC_ALPHA = 0x80C8, 0x80C9, 0x80CA, 0x80CB
+BLEND_EQUATION_RGB, BLEND_EQUATION_ALPHA = 0x8009, 0x883D
+POLYGON_OFFSET_FACTOR, POLYGON_OFFSET_UNITS, LINE_WIDTH = 0x8038, 0x2A00, 0x0B21
+CURRENT_PROGRAM, VERTEX_ARRAY_BINDING, ARRAY_BUFFER_BINDING, UNIFORM_BUFFER_BINDING = 0x8B8D, 0x85B5, 0x8894, 0x8A28
+UNIFORM_BUFFER_START, UNIFORM_BUFFER_SIZE = 0x8A29, 0x8A2A
+ACTIVE_TEXTURE, TEXTURE_BINDING_2D, SAMPLER_BINDING, TEXTURE0 = 0x84E0, 0x8069, 0x8919, 0x84C0
+PATCH_VERTICES, UNPACK_ALIGNMENT, PIXEL_UNPACK_BUFFER_BINDING, VIEWPORT = 0x8E72, 0x0CF5, 0x88EF, 0x0BA2
+UNPACK_SETTINGS = (0x0CF0, 0x0CF1, 0x0CF2, 0x0CF3, 0x0CF4, UNPACK_ALIGNMENT)
+PIXEL_UNPACK_BUFFER, ARRAY_BUFFER, UNIFORM_BUFFER, TEXTURE_2D = 0x88EC, 0x8892, 0x8A11, 0x0DE1
+FRONT, BACK, FRONT_AND_BACK, CW, CCW, LINE, FILL = 0x0404, 0x0405, 0x0408, 0x0900, 0x0901, 0x1B01, 0x1B02
+LESS, LEQUAL, ZERO, ONE, SRC_ALPHA, ONE_MINUS_SRC_ALPHA, FUNC_ADD = 0x0201, 0x0203, 0, 1, 0x0302, 0x0303, 0x8006
+
+_I, _U, _F, _B, _P = ctypes.c_int, ctypes.c_uint, ctypes.c_float, ctypes.c_ubyte, ctypes.c_void_p
+_SIGNATURES: dict[str, tuple[Any, ...]] = {
+    "glGetIntegerv": (None, _U, _P), "glGetInteger64v": (None, _U, _P), "glGetFloatv": (None, _U, _P),
+    "glGetIntegeri_v": (None, _U, _U, _P), "glGetInteger64i_v": (None, _U, _U, _P),
+    "glIsEnabled": (_B, _U), "glEnable": (None, _U), "glDisable": (None, _U),
+    "glCullFace": (None, _U), "glFrontFace": (None, _U), "glDepthFunc": (None, _U), "glDepthMask": (None, _B),
+    "glPolygonMode": (None, _U, _U), "glPolygonOffset": (None, _F, _F), "glLineWidth": (None, _F),
+    "glBlendFuncSeparate": (None, _U, _U, _U, _U), "glBlendEquationSeparate": (None, _U, _U),
+    "glUseProgram": (None, _U), "glBindVertexArray": (None, _U), "glBindBuffer": (None, _U, _U),
+    "glBindBufferBase": (None, _U, _U, _U), "glBindBufferRange": (None, _U, _U, _U, ctypes.c_ssize_t, ctypes.c_ssize_t),
+    "glActiveTexture": (None, _U), "glBindTexture": (None, _U, _U), "glBindSampler": (None, _U, _U),
+    "glPixelStorei": (None, _U, _I), "glPatchParameteri": (None, _U, _I),
+}  # fmt: skip
+
+
+class Functions:
+    """GL functions by name, as plain calls: `functions().glEnable(flag)`."""
+
+    def __init__(self) -> None:
+        load = _loader()
+        make = ctypes.WINFUNCTYPE if sys.platform == "win32" else ctypes.CFUNCTYPE
+        for name, (result, *arguments) in _SIGNATURES.items():
+            address = load(name)
+            if address:
+                setattr(self, name, make(result, *arguments)(address))
+            elif name != "glPatchParameteri":
+                raise RenderError(f"the OpenGL library has no {name}: update the graphics driver")
+
+    def __getattr__(self, name: str) -> Any:
+        raise AttributeError(name)
+
+    def integer(self, what: int) -> int:
+        """One integer of the state."""
+        values = (ctypes.c_int * 4)()
+        self.glGetIntegerv(what, values)
+        return values[0]
+
+    def integers(self, what: int, count: int) -> list[int]:
+        """Several integers of the state."""
+        values = (ctypes.c_int * max(count, 4))()
+        self.glGetIntegerv(what, values)
+        return list(values[:count])
+
+    def number(self, what: int) -> float:
+        """One float of the state."""
+        value = (ctypes.c_float * 4)()
+        self.glGetFloatv(what, value)
+        return value[0]
+
+    def switch(self, capability: int, on: bool) -> None:
+        """Enable or disable."""
+        (self.glEnable if on else self.glDisable)(capability)
+
+
+def _loader() -> Any:
+    """Function from a GL function's name to its address."""
+    if sys.platform == "darwin":
+        framework = ctypes.CDLL("/System/Library/Frameworks/OpenGL.framework/OpenGL")
+        return lambda name: ctypes.cast(getattr(framework, name, None), _P).value
+    if sys.platform == "win32":
+        library = ctypes.WinDLL("opengl32")
+        library.wglGetProcAddress.restype, library.wglGetProcAddress.argtypes = _P, [ctypes.c_char_p]
+
+        def load(name: str) -> int | None:
+            address = library.wglGetProcAddress(name.encode())
+            if address:
+                return int(address)
+            function = getattr(library, name, None)
+            return ctypes.cast(function, _P).value if function else None
+
+        return load
+    for library_name, entry in (("EGL", "eglGetProcAddress"), ("GL", "glXGetProcAddressARB")):
+        path = ctypes.util.find_library(library_name)
+        if path is None:
+            continue
+        function = getattr(ctypes.CDLL(path), entry, None)
+        if function is not None:
+            function.restype, function.argtypes = _P, [ctypes.c_char_p]
+            return lambda name: function(name.encode())
+    raise RenderError("neither libEGL nor libGL is found: install the system's OpenGL libraries")
+
+
+@lru_cache(maxsize=1)
+def functions() -> Functions:
+    """GL's functions, looked up once."""
+    return Functions()
+
+
+@contextmanager
+def saved_state(texture_units: Sequence[int], uniform_bindings: Sequence[int], patches: bool) -> Iterator[Functions]:
+    """Save what drawing and uploading touch, and put it back at the end, whatever happens in between.
+
+    Parameters
+    ----------
+    texture_units : units whose 2D texture and sampler may be replaced
+    uniform_bindings : uniform buffer binding points that may be replaced
+    patches : bool
+        Whether the context has patches (OpenGL 4.0).
+    """
+    gl = functions()
+    enabled = [bool(gl.glIsEnabled(flag)) for flag in CAPABILITIES]
+    words = {what: gl.integer(what) for what in _PLAIN_WORDS}
+    polygon_mode = gl.integers(POLYGON_MODE, 2)[0]
+    offset = gl.number(POLYGON_OFFSET_FACTOR), gl.number(POLYGON_OFFSET_UNITS)
+    line_width = gl.number(LINE_WIDTH)
+    patch_vertices = gl.integer(PATCH_VERTICES) if patches else 0
+    active = gl.integer(ACTIVE_TEXTURE)
+    textures = []
+    for unit in texture_units:
+        gl.glActiveTexture(TEXTURE0 + unit)
+        textures.append((unit, gl.integer(TEXTURE_BINDING_2D), gl.integer(SAMPLER_BINDING)))
+        gl.glBindSampler(unit, 0)
+    blocks = [(binding, *_uniform_binding(gl, binding)) for binding in uniform_bindings]
+    generic_block = gl.integer(UNIFORM_BUFFER_BINDING)
+    unpack = [(what, gl.integer(what)) for what in UNPACK_SETTINGS]
+    unpack_buffer = gl.integer(PIXEL_UNPACK_BUFFER_BINDING)
+    if unpack_buffer:
+        gl.glBindBuffer(PIXEL_UNPACK_BUFFER, 0)
+    for what in UNPACK_SETTINGS[:5]:
+        gl.glPixelStorei(what, 0)
+    try:
+        yield gl
+    finally:
+        for flag, on in zip(CAPABILITIES, enabled):
+            gl.switch(flag, on)
+        gl.glCullFace(words[CULL_FACE_MODE])
+        gl.glFrontFace(words[FRONT_FACE])
+        gl.glDepthFunc(words[DEPTH_FUNC])
+        gl.glDepthMask(words[DEPTH_WRITEMASK])
+        gl.glBlendFuncSeparate(*(words[what] for what in (BLEND_SRC_RGB, BLEND_DST_RGB, BLEND_SRC_ALPHA, BLEND_DST_ALPHA)))
+        gl.glBlendEquationSeparate(words[BLEND_EQUATION_RGB], words[BLEND_EQUATION_ALPHA])
+        gl.glPolygonMode(FRONT_AND_BACK, polygon_mode)
+        gl.glPolygonOffset(*offset)
+        gl.glLineWidth(line_width)
+        if patches:
+            gl.glPatchParameteri(PATCH_VERTICES, patch_vertices)
+        for unit, texture, sampler in textures:
+            gl.glActiveTexture(TEXTURE0 + unit)
+            gl.glBindTexture(TEXTURE_2D, texture)
+            gl.glBindSampler(unit, sampler)
+        gl.glActiveTexture(active)
+        for binding, buffer, start, size in blocks:
+            if size:
+                gl.glBindBufferRange(UNIFORM_BUFFER, binding, buffer, start, size)
+            else:
+                gl.glBindBufferBase(UNIFORM_BUFFER, binding, buffer)
+        gl.glBindBuffer(UNIFORM_BUFFER, generic_block)
+        gl.glUseProgram(words[CURRENT_PROGRAM])
+        gl.glBindVertexArray(words[VERTEX_ARRAY_BINDING])
+        gl.glBindBuffer(ARRAY_BUFFER, words[ARRAY_BUFFER_BINDING])
+        for what, value in unpack:
+            gl.glPixelStorei(what, value)
+        if unpack_buffer:
+            gl.glBindBuffer(PIXEL_UNPACK_BUFFER, unpack_buffer)
+
+
+_PLAIN_WORDS = (
+    CULL_FACE_MODE, FRONT_FACE, DEPTH_FUNC, DEPTH_WRITEMASK, BLEND_DST_RGB, BLEND_SRC_RGB, BLEND_DST_ALPHA,
+    BLEND_SRC_ALPHA, BLEND_EQUATION_RGB, BLEND_EQUATION_ALPHA, CURRENT_PROGRAM, VERTEX_ARRAY_BINDING,
+    ARRAY_BUFFER_BINDING,
+)  # fmt: skip
+
+
+def _uniform_binding(gl: Functions, binding: int) -> tuple[int, int, int]:
+    """Buffer, start and size (0: all of it) at a uniform buffer binding point."""
+    value = (ctypes.c_int * 4)()
+    gl.glGetIntegeri_v(UNIFORM_BUFFER_BINDING, binding, value)
+    long_value = (ctypes.c_int64 * 2)()
+    gl.glGetInteger64i_v(UNIFORM_BUFFER_START, binding, long_value)
+    start = long_value[0]
+    gl.glGetInteger64i_v(UNIFORM_BUFFER_SIZE, binding, long_value)
+    return value[0], start, long_value[0]

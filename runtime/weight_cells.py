@@ -1,0 +1,126 @@
+"""Stored joint weights rearranged for the vertex shader: one record a 2 x 2 cell of the weight map.
+
+A bilinear sample reads one cell. Its record holds a palette, the joints that any of its four texels has, and the four
+texels' weights for them: four joints and sixteen 8-bit weights, in two fetches. Where more than four joints meet,
+further records follow. Equal records are stored once; a rigid part of a character is a single one. docs/format.md has
+the measurements against dense layers and against joint lists a texel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+RECORDS_WIDTH = 1024  # records lie in rows of this many (shaders/include/skinning.glsl: RECORDS_WIDTH_LOG2)
+MORE_RECORDS = 0x8000
+MAX_JOINTS = MORE_RECORDS
+
+
+@dataclass(frozen=True)
+class WeightCells:
+    """Joint weights as the shaders read them. R rows of records.
+
+    Attributes
+    ----------
+    first_record : (H - 1, W - 1) uint16 or uint32
+        Of each cell (at least 1 x 1).
+    weights : (R, 1024, 4) uint32
+        Four texels (0,0), (1,0), (0,1), (1,1), each with four 8-bit weights, the first joint's lowest.
+    joints : (R, 1024, 4) uint16
+        Palette; `MORE_RECORDS` is set in the first where the next record belongs to the cell too.
+    max_records : int
+        Most records that a cell has.
+    """
+
+    first_record: NDArray[Any]
+    weights: NDArray[np.uint32]
+    joints: NDArray[np.uint16]
+    max_records: int
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the three textures."""
+        return self.first_record.nbytes + self.weights.nbytes + self.joints.nbytes
+
+
+def split_stack(stack: NDArray[Any], size: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Joints and weights (0 to 255) a texel from the stored stack, each (H, W, K) int64."""
+    width, height = size
+    images = stack.reshape(-1, 2, height, width, 4).astype(np.int64)
+    joints = np.concatenate(list(images[:, 0]), axis=-1)
+    weights = np.concatenate(list(images[:, 1]), axis=-1)
+    if stack.dtype == np.uint16:
+        weights = (weights + 128) // 257
+    return joints, weights
+
+
+def _unique_rows(rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Distinct rows of small non-negative numbers, and which one each row is."""
+    keys = np.zeros(len(rows), np.int64)
+    for column in rows.T:  # fold columns into one number, kept small by ranking after each step
+        keys = keys * (int(column.max(initial=0)) + 1) + column
+        if keys.max(initial=0) > 1 << 40:
+            keys = np.unique(keys, return_inverse=True)[1].astype(np.int64)
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    return rows[first], inverse.astype(np.int64)
+
+
+def build_weight_cells(stack: NDArray[Any], size: tuple[int, int]) -> WeightCells:
+    """Make the records of all cells.
+
+    Parameters
+    ----------
+    stack : (2 * N * H, W, 4) uint8 or uint16
+        As `preprocess.weights` packs it.
+    size : (W, H)
+
+    Returns
+    -------
+    WeightCells
+    """
+    joints, weights = split_stack(stack, size)
+    height, width, slots = joints.shape
+    texels = np.concatenate([joints, weights], axis=-1).reshape(height * width, 2 * slots)
+    kinds, kind_of = _unique_rows(texels)
+    kind_of = np.pad(kind_of.reshape(height, width), ((0, int(height == 1)), (0, int(width == 1))), mode="edge")
+    four = np.stack([kind_of[:-1, :-1], kind_of[:-1, 1:], kind_of[1:, :-1], kind_of[1:, 1:]], axis=-1)
+    cells, cell_of = _unique_rows(four.reshape(-1, 4))
+
+    cell_joints = kinds[cells][:, :, :slots].reshape(len(cells), 4 * slots)
+    cell_weights = kinds[cells][:, :, slots:].reshape(len(cells), 4 * slots)
+    unused = int(kinds[:, :slots].max()) + 1
+    cell_joints = np.where(cell_weights > 0, cell_joints, unused)
+    order = np.argsort(cell_joints, axis=1, kind="stable")
+    sorted_joints = np.take_along_axis(cell_joints, order, axis=1)
+    is_new = np.ones(sorted_joints.shape, bool)
+    is_new[:, 1:] = sorted_joints[:, 1:] != sorted_joints[:, :-1]
+    is_new &= sorted_joints < unused
+    slot = np.cumsum(is_new, axis=1) - 1
+    used = sorted_joints < unused
+    num_joints = is_new.sum(axis=1)
+    num_records = np.maximum(-(-num_joints // 4), 1)
+    starts = np.concatenate([[0], np.cumsum(num_records)])
+    total = int(starts[-1])
+
+    rows = -(-total // RECORDS_WIDTH)
+    palettes = np.zeros((rows * RECORDS_WIDTH, 4), np.uint16)
+    packed = np.zeros((rows * RECORDS_WIDTH, 4, 4), np.uint8)  # record, texel, slot
+    cell_rows = np.broadcast_to(np.arange(len(cells))[:, None], order.shape)
+    record = starts[cell_rows] + slot // 4
+    texel_of_entry = order // slots
+    entry_weights = np.take_along_axis(cell_weights, order, axis=1)
+    packed[record[used], texel_of_entry[used], slot[used] % 4] = entry_weights[used]
+    palettes[record[is_new], slot[is_new] % 4] = sorted_joints[is_new]
+    followed = np.ones(total, bool)
+    followed[starts[1:] - 1] = False
+    palettes[:total, 0] |= np.where(followed, MORE_RECORDS, 0).astype(np.uint16)
+    first = starts[cell_of].reshape(four.shape[:2])
+    return WeightCells(
+        first_record=first.astype(np.uint16 if total <= 0xFFFF else np.uint32),
+        weights=packed.view("<u4").reshape(rows, RECORDS_WIDTH, 4).astype(np.uint32, copy=False),
+        joints=palettes.reshape(rows, RECORDS_WIDTH, 4),
+        max_records=int(num_records.max()),
+    )

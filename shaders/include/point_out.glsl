@@ -1,0 +1,62 @@
+// The last step of both ways to draw: a place of the atlas, skinned, moved to the world and projected.
+#ifndef POINT_OUT_GLSL
+#define POINT_OUT_GLSL
+
+out vec2 surface_uv;
+out vec3 surface_position;
+out mat3 surface_normal_matrix;
+out vec3 surface_rest;
+out vec4 surface_tint;
+flat out int surface_level;
+#ifdef SHOW_WEIGHTS
+out vec3 surface_joint_color;
+#endif
+
+invariant gl_Position;
+
+#ifdef SHOW_WEIGHTS
+vec3 joint_color(uint joint) {
+    float hue = fract(float(joint) * 0.61803399);
+    vec3 pure = clamp(abs(fract(hue + vec3(0.0, 2.0, 1.0) / 3.0) * 6.0 - 3.0) - 1.0, 0.0, 1.0);
+    return mix(vec3(1.0), pure, 0.55 + 0.4 * float((joint / 2u) % 2u)) * (0.6 + 0.4 * float(joint % 3u) / 2.0);
+}
+
+vec3 blend_joint_colors(vec2 uv) {
+    TexelCell cell = texel_cell(uv, weight_size);
+    uint record = texelFetch(weight_cells, cell.corner, 0).r;
+    vec3 color = vec3(0.0);
+    bool more = true;
+    while (more) {
+        ivec2 at = record_texel(record);
+        uvec4 joints = texelFetch(joint_records, at, 0);
+        uvec4 four = texelFetch(weight_records, at, 0);
+        vec4 weights = blend_cell(unpack_weights(four.x), unpack_weights(four.y), unpack_weights(four.z),
+                                  unpack_weights(four.w), cell.fraction);
+        more = joints.x >= MORE_RECORDS;
+        joints.x &= MORE_RECORDS - 1u;
+        color += joint_color(joints.x) * weights.x + joint_color(joints.y) * weights.y
+               + joint_color(joints.z) * weights.z + joint_color(joints.w) * weights.w;
+        record += 1u;
+    }
+    return color;
+}
+#endif
+
+void emit_point(vec2 uv, vec2 geometry_uv, mat3x4 world_from_object, vec4 tint, ivec2 numbers) {
+    vec3 rest = rest_position(geometry_uv);
+    mat3x4 pose = blend_joints(geometry_uv, numbers.x);
+    PRECISE vec3 position = transform_point(world_from_object, transform_point(pose, rest));
+    PRECISE vec4 projected = clip_from_world * vec4(position, 1.0);
+    gl_Position = projected;
+    surface_uv = uv;
+    surface_position = position;
+    surface_normal_matrix = normal_matrix(world_from_object) * normal_matrix(pose);
+    surface_rest = rest;
+    surface_tint = tint;
+    surface_level = numbers.y;
+#ifdef SHOW_WEIGHTS
+    surface_joint_color = blend_joint_colors(geometry_uv);
+#endif
+}
+
+#endif

@@ -1,0 +1,103 @@
+// A point of the animated surface from its place in the atlas (paper, sections 7 and 8).
+//
+// Positions are one bilinear sample. Joint weights come in records a 2 x 2 cell of the weight map: a palette of four
+// joints, and the weights of these joints at the cell's four texels. Most cells need one record; where more joints
+// meet, further records follow. All four texels of a cell share its palette, so the blend is exact, with any number
+// of joints, and continuous from cell to cell.
+#ifndef SKINNING_GLSL
+#define SKINNING_GLSL
+
+#include "texels.glsl"
+
+uniform sampler2D position_texture;
+uniform vec3 position_scale;           // metres = texel * scale + offset
+uniform vec3 position_offset;
+uniform usampler2D weight_cells;       // number of the first record of each cell
+uniform usampler2D weight_records;     // four texels, each four 8-bit weights
+uniform usampler2D joint_records;      // four joints; MORE_RECORDS is set in the first where another record follows
+uniform ivec2 weight_size;             // of the weight map, texels
+#ifdef JOINTS_IN_BLOCK
+layout(std140) uniform Joints { vec4 joint_block[JOINT_BLOCK_ROWS]; };
+#else
+uniform sampler2D joint_texture;       // three rows of a matrix a joint along x, one pose a row
+#endif
+
+const uint MORE_RECORDS = 0x8000u;
+const int RECORDS_WIDTH_LOG2 = 10;     // records are stored in rows of 1024
+
+// Matrices of 3 rows and 4 columns are held as mat3x4, a row of mathematics in each of its three vec4.
+vec3 transform_point(mat3x4 rows, vec3 point) {
+    PRECISE vec3 moved = vec4(point, 1.0) * rows;
+    return moved;
+}
+
+mat3x4 joint_matrix(int joint, int pose) {
+#ifdef JOINTS_IN_BLOCK
+    int first = 3 * joint;
+    return mat3x4(joint_block[first], joint_block[first + 1], joint_block[first + 2]);
+#else
+    ivec2 at = ivec2(3 * joint, pose);
+    return mat3x4(
+        texelFetch(joint_texture, at, 0),
+        texelFetch(joint_texture, at + ivec2(1, 0), 0),
+        texelFetch(joint_texture, at + ivec2(2, 0), 0));
+#endif
+}
+
+vec4 unpack_weights(uint packed_weights) {
+    return vec4((uvec4(packed_weights) >> uvec4(0u, 8u, 16u, 24u)) & 255u) * (1.0 / 255.0);
+}
+
+ivec2 record_texel(uint record) {
+    return ivec2(int(record) & ((1 << RECORDS_WIDTH_LOG2) - 1), int(record) >> RECORDS_WIDTH_LOG2);
+}
+
+// The joints' matrices blended with the weights at a place of the atlas (linear blend skinning).
+mat3x4 blend_joints(vec2 uv, int pose) {
+    TexelCell cell = texel_cell(uv, weight_size);
+    uint record = texelFetch(weight_cells, cell.corner, 0).r;
+    PRECISE mat3x4 blended = mat3x4(0.0);
+    bool more = true;
+    while (more) {
+        ivec2 at = record_texel(record);
+        uvec4 joints = texelFetch(joint_records, at, 0);
+        uvec4 packed_weights = texelFetch(weight_records, at, 0);
+        vec4 weights = blend_cell(
+            unpack_weights(packed_weights.x),
+            unpack_weights(packed_weights.y),
+            unpack_weights(packed_weights.z),
+            unpack_weights(packed_weights.w),
+            cell.fraction);
+        more = joints.x >= MORE_RECORDS;
+        joints.x &= MORE_RECORDS - 1u;
+        blended += joint_matrix(int(joints.x), pose) * weights.x;
+        blended += joint_matrix(int(joints.y), pose) * weights.y;
+        blended += joint_matrix(int(joints.z), pose) * weights.z;
+        blended += joint_matrix(int(joints.w), pose) * weights.w;
+        record += 1u;
+    }
+    return blended;
+}
+
+// Position at rest, object space, metres.
+vec3 rest_position(vec2 uv) {
+    PRECISE vec3 position = fetch_bilinear(position_texture, uv).xyz * position_scale + position_offset;
+    return position;
+}
+
+// product of two such matrices, the second applied first
+mat3x4 compose(mat3x4 outer, mat3x4 inner) {
+    mat4 full = mat4(inner[0], inner[1], inner[2], vec4(0.0, 0.0, 0.0, 1.0));
+    return mat3x4(full * outer[0], full * outer[1], full * outer[2]);
+}
+
+// What turns normals: the cofactors of the 3 x 3 part, which is its inverse transpose up to length, the right way
+// round where the matrix mirrors.
+mat3 normal_matrix(mat3x4 rows) {
+    vec3 x = rows[0].xyz, y = rows[1].xyz, z = rows[2].xyz;
+    vec3 yz = cross(y, z);
+    float handedness = dot(x, yz) < 0.0 ? -1.0 : 1.0;
+    return transpose(mat3(yz, cross(z, x), cross(x, y))) * handedness;
+}
+
+#endif

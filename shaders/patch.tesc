@@ -1,0 +1,76 @@
+// How finely each edge of a patch is divided.
+//
+// A patch is 9 points: 3 corners, then for each edge (from corner k to corner k + 1) the two ends of its owning edge,
+// the one half-edge of the two that meet there at whose uvs both triangles evaluate what lies between (Castaño 2008,
+// "Next-generation hardware rendering of displaced subdivision surfaces"). An edge's factor comes from these ends and
+// the corners' owners alone, which both triangles have identically, by arithmetic that does not care which end is
+// first: so both divide it alike.
+#include "include/frame.glsl"
+#include "include/skinning.glsl"
+
+layout(vertices = 3) out;
+
+in vec2 point_uv[];
+in vec2 point_owner_uv[];
+in vec4 point_world_row0[];
+in vec4 point_world_row1[];
+in vec4 point_world_row2[];
+in vec4 point_tint[];
+flat in ivec2 point_numbers[];
+
+out vec2 corner_uv[];
+out vec2 corner_owner_uv[];
+out vec4 corner_edge_uvs[];  // ends of the owning edge that starts at this corner
+out vec3 corner_position[];
+patch out vec4 patch_world_row0;
+patch out vec4 patch_world_row1;
+patch out vec4 patch_world_row2;
+patch out vec4 patch_tint;
+patch out ivec2 patch_numbers;
+
+float edge_factor(vec3 a, vec3 b, vec4 edge_uvs) {
+    if (tessellation.z > 0.0) {
+        return tessellation.z;
+    }
+    PRECISE vec3 middle = (a + b) * 0.5;
+    vec3 along = a - b;
+    PRECISE float length_m = sqrt(dot(along, along));
+    vec4 depth_row = vec4(clip_from_world[0].w, clip_from_world[1].w, clip_from_world[2].w, clip_from_world[3].w);
+    PRECISE float depth = dot(depth_row, vec4(middle, 1.0));
+    // The sphere around the edge: its nearest point decides, so an edge that passes the eye is still fine enough.
+    PRECISE float nearest = max(depth - 0.5 * length_m * viewport_px.w, 1e-3 * length_m + 1e-30);
+    PRECISE float by_pixels = length_m * viewport_px.z / (nearest * tessellation.x);
+    vec2 across = abs(edge_uvs.xy - edge_uvs.zw) * vec2(textureSize(position_texture, 0));
+    PRECISE float by_texels = max(across.x, across.y) / tessellation.w;
+    return clamp(min(by_pixels, by_texels), 1.0, tessellation.y);
+}
+
+void main() {
+    int corner = gl_InvocationID;
+    mat3x4 world = mat3x4(point_world_row0[corner], point_world_row1[corner], point_world_row2[corner]);
+    vec2 owner = point_owner_uv[corner];
+    corner_uv[corner] = point_uv[corner];
+    corner_owner_uv[corner] = owner;
+    corner_edge_uvs[corner] = vec4(point_uv[3 + 2 * corner], point_uv[4 + 2 * corner]);
+    corner_position[corner] = tessellation.z > 0.0
+        ? vec3(0.0)
+        : transform_point(world, transform_point(blend_joints(owner, point_numbers[corner].x), rest_position(owner)));
+    barrier();
+    if (corner == 0) {
+        patch_world_row0 = point_world_row0[0];
+        patch_world_row1 = point_world_row1[0];
+        patch_world_row2 = point_world_row2[0];
+        patch_tint = point_tint[0];
+        patch_numbers = point_numbers[0];
+        // The outer level k belongs to the edge opposite corner k.
+        float factors[3];
+        for (int edge = 0; edge < 3; ++edge) {
+            int next = (edge + 1) % 3;
+            factors[edge] = edge_factor(corner_position[edge], corner_position[next], corner_edge_uvs[edge]);
+        }
+        gl_TessLevelOuter[2] = factors[0];
+        gl_TessLevelOuter[0] = factors[1];
+        gl_TessLevelOuter[1] = factors[2];
+        gl_TessLevelInner[0] = max(max(factors[0], factors[1]), factors[2]);
+    }
+}

@@ -1,0 +1,23 @@
+// A control point of a patch: nothing is computed yet, only passed on.
+#include "include/instance.glsl"
+
+in vec2 in_uv;
+in vec2 in_owner_uv;
+
+out vec2 point_uv;
+out vec2 point_owner_uv;
+out vec4 point_world_row0;
+out vec4 point_world_row1;
+out vec4 point_world_row2;
+out vec4 point_tint;
+flat out ivec2 point_numbers;
+
+void main() {
+    point_uv = in_uv;
+    point_owner_uv = in_owner_uv;
+    point_world_row0 = in_world_row0;
+    point_world_row1 = in_world_row1;
+    point_world_row2 = in_world_row2;
+    point_tint = in_tint;
+    point_numbers = in_numbers;
+}

@@ -1,0 +1,15 @@
+// A level of detail as it is: one vertex a corner of its triangles, everything but two uvs fetched from textures.
+//
+// Every copy of a surface point has the same owner uv and so computes the same bits (method: watertight, bit for bit);
+// the material is sampled at the copy's own uv.
+#include "include/frame.glsl"
+#include "include/instance.glsl"
+#include "include/skinning.glsl"
+#include "include/point_out.glsl"
+
+in vec2 in_uv;
+in vec2 in_owner_uv;
+
+void main() {
+    emit_point(in_uv, in_owner_uv, mat3x4(in_world_row0, in_world_row1, in_world_row2), in_tint, in_numbers);
+}
