@@ -1,0 +1,237 @@
+"""An atlas made for decimation: charts are convex polygons of a coarse base mesh (method, section 4).
+
+Regions → disks → relaxed boundaries → corners and paths → convex polygons → maps without folds → packing. Every
+boundary path is one straight segment in both of its charts, each vertex at the same fraction of it on both sides, so
+that every seam edge can collapse, down to the base mesh itself: two faces a base vertex, whatever the source looked
+like (multi-chart geometry images, Sander et al. 2003; seamless texture atlases, Purnomo et al. 2004).
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+
+from preprocess.atlas.flatten import flatten_fixed, flatten_free
+from preprocess.atlas.layout import Layout, build_layout, chart_characteristics
+from preprocess.atlas.pack import pack_charts
+from preprocess.atlas.polygons import convex_polygons
+from preprocess.atlas.relax import relax_paths
+from preprocess.atlas.segment import grow_regions
+from preprocess.atlas.split import split_edges
+from preprocess.atlas.topology import Bools, MeshEdges, face_frames, find_edges, label_faces
+from preprocess.errors import InputError
+from preprocess.mesh import Floats, Ints, SkinnedMesh, TexturedSurface
+
+log = logging.getLogger(__name__)
+
+BUDGET_SHARE = 0.8
+"""The layout's own floor is at most this share of the floor asked for: decimation does not find the very last face."""
+
+FACES_PER_REGION = 4
+"""Faces at the floor that one more region costs: two more corners, each in two faces more."""
+
+
+@dataclass(frozen=True)
+class Unwrapped:
+    """A mesh with an atlas of straight, matched seams.
+
+    Attributes
+    ----------
+    mesh : SkinnedMesh
+        Faces may have been split.
+    layout : Layout
+    num_split : int
+        Edges split at their middle, because they joined two vertices of one straight side.
+    """
+
+    mesh: SkinnedMesh
+    layout: Layout
+    num_split: int
+
+
+def unwrap(mesh: SkinnedMesh, floor_faces: int, size_px: int, gutter_px: float, min_chart_px: float) -> Unwrapped:
+    """Cut a mesh into a base mesh of charts and lay them out.
+
+    Parameters
+    ----------
+    mesh : SkinnedMesh
+        Its uvs are ignored.
+    floor_faces : int
+        Faces that the coarsest level may have.
+    size_px : int
+        Side of the square texture that the gutter is measured in.
+    gutter_px, min_chart_px : float
+        Least distance of two charts; a chart's area is at least `min_chart_px`².
+
+    Returns
+    -------
+    Unwrapped
+
+    Raises
+    ------
+    InputError
+        If there is nothing to unwrap.
+    """
+    surface = mesh.surface
+    if not len(surface.faces):
+        raise InputError("the mesh has no faces: there is nothing to unwrap")
+    edges = find_edges(surface.faces)
+    cut, layout = _fit_layout(surface, edges, floor_faces)
+    mesh, edges, layout, num_split = _split_chords(mesh, edges, layout)
+    uvs = _map_charts(mesh.surface, layout, size_px, gutter_px, min_chart_px)
+    surface = TexturedSurface(mesh.surface.positions, mesh.surface.faces, uvs, layout.face_uvs)
+    return Unwrapped(mesh.with_surface(surface), layout, num_split)
+
+
+def _fit_layout(surface: TexturedSurface, edges: MeshEdges, floor_faces: int) -> tuple[Bools, Layout]:
+    """The layout with the most regions whose floor is within the budget."""
+    budget = BUDGET_SHARE * floor_faces
+    frames = face_frames(surface.positions, surface.faces)
+    num_parts, parts = label_faces(edges, ~edges.glued)
+    part_area = np.bincount(parts, frames[0], minlength=num_parts)
+    share = part_area / max(part_area.sum(), 1e-300)
+    wanted = budget
+    best: tuple[Bools, Layout] | None = None
+    for _ in range(5):
+        counts = np.maximum(np.rint((wanted * share + 4) / FACES_PER_REGION).astype(np.int32), 1)
+        cut = _cut_regions(surface, edges, frames, parts, counts)
+        layout = build_layout(surface.positions, surface.faces, edges, cut)
+        log.debug("%d regions wanted: %d charts, floor %d", counts.sum(), layout.num_charts, layout.floor_faces)
+        fits = layout.floor_faces <= budget
+        if best is None or (
+            layout.floor_faces > best[1].floor_faces if fits else layout.floor_faces < best[1].floor_faces
+        ):
+            best = cut, layout
+        if counts.max() == 1 or (fits and layout.floor_faces >= 0.93 * budget):
+            break
+        wanted *= np.clip(0.97 * budget / layout.floor_faces, 0.2, 1.5)
+    assert best is not None
+    return best
+
+
+def _cut_regions(
+    surface: TexturedSurface, edges: MeshEdges, frames: tuple[Floats, Floats, Floats], parts: Ints, counts: Ints
+) -> Bools:
+    """Cut edges of a segmentation into disks with relaxed boundaries, (E,) bool."""
+    areas, normals, centroids = frames
+    count, regions = grow_regions(edges.neighbors, areas, normals, centroids, parts, counts)
+    while True:
+        cut = _region_borders(edges, regions)
+        charts, characteristic = chart_characteristics(surface.faces, edges, cut)
+        bad = characteristic != 1
+        if not bad.any():
+            break
+        number = np.where(bad, np.cumsum(bad) - 1, -1)
+        domains = number[charts].astype(np.int32)
+        added, halves = grow_regions(
+            edges.neighbors, areas, normals, centroids, domains, np.full(int(bad.sum()), 2, np.int32)
+        )
+        regions = np.where(domains >= 0, count + halves, regions).astype(np.int32)
+        count += added
+    return relax_paths(surface, edges, cut)
+
+
+def _region_borders(edges: MeshEdges, regions: Ints) -> Bools:
+    halves = edges.halves
+    return ~edges.glued | (regions[halves[:, 0] // 3] != regions[halves[:, 1] // 3])
+
+
+def _split_chords(mesh: SkinnedMesh, edges: MeshEdges, layout: Layout) -> tuple[SkinnedMesh, MeshEdges, Layout, int]:
+    """Split every inner edge that joins two vertices of one straight side: it would map onto that side."""
+    chords = find_chords(edges, layout)
+    if not len(chords):
+        return mesh, edges, layout, 0
+    cut_pairs = edges.vertices[layout.cut]
+    corner = np.zeros(len(mesh.surface.positions), bool)
+    corner[layout.path_vertices[layout.path_first[:-1]]] = True
+    corner[layout.path_vertices[layout.path_first[1:] - 1]] = True
+    split = split_edges(mesh, edges.vertices[chords])
+    new_edges = find_edges(split.surface.faces)
+    stride = len(split.surface.positions)
+    old = cut_pairs[:, 0].astype(np.int64) * stride + cut_pairs[:, 1]
+    cut = np.isin(new_edges.vertices[:, 0].astype(np.int64) * stride + new_edges.vertices[:, 1], old)
+    cut |= ~new_edges.glued
+    extra = np.zeros(stride, bool)
+    extra[: len(corner)] = corner
+    new_layout = build_layout(split.surface.positions, split.surface.faces, new_edges, cut, extra)
+    return split, new_edges, new_layout, len(chords)
+
+
+def find_chords(edges: MeshEdges, layout: Layout) -> Ints:
+    """Inner edges whose two ends lie on one side of their chart's polygon, edge ids."""
+    num_uvs = len(layout.uv_vertices)
+    side = np.full(num_uvs, -1, np.int32)
+    side[layout.boundary_uvs] = layout.boundary_sides
+    is_start = np.zeros(num_uvs, bool)
+    is_start[layout.side_uvs] = True
+    previous = np.arange(len(layout.side_paths)) - 1
+    previous[layout.chart_first[:-1]] = layout.chart_first[1:] - 1
+    before = np.where(is_start, previous[np.maximum(side, 0)], side)  # a corner ends one side and starts another
+    inner = np.flatnonzero(~layout.cut)
+    half = edges.halves[inner, 0]
+    flat = layout.face_uvs.reshape(-1)
+    a, b = flat[half], flat[half - half % 3 + (half + 1) % 3]
+    both = (side[a] >= 0) & (side[b] >= 0)
+    shared = (side[a] == side[b]) | (before[a] == side[b]) | (side[a] == before[b]) | (before[a] == before[b])
+    return inner[both & shared].astype(np.int32)
+
+
+def _map_charts(
+    surface: TexturedSurface, layout: Layout, size_px: int, gutter_px: float, min_chart_px: float
+) -> Floats:
+    """uvs of all texture vertices, (T, 2)."""
+    points = surface.positions[layout.uv_vertices]
+    num_charts = layout.num_charts
+    free = flatten_free(points, layout.face_uvs, layout.face_charts, num_charts)
+    path_lengths = _path_lengths(surface.positions, layout)
+    corners = convex_polygons(free[layout.side_uvs], layout.chart_first, path_lengths[layout.side_paths])
+
+    boundary = np.zeros(len(points), bool)
+    boundary[layout.boundary_uvs] = True
+    uvs = np.zeros((len(points), 2))
+    uvs[layout.boundary_uvs] = _along_sides(layout, corners)
+    uvs, folds = flatten_fixed(points, layout.face_uvs, layout.face_charts, num_charts, boundary, uvs)
+    if folds.any():
+        log.warning("%d of %d charts have folded faces", int((folds > 0).sum()), num_charts)
+
+    side_charts = np.repeat(np.arange(num_charts), layout.num_sides)
+    ends = _side_ends(layout)
+    segments = np.stack([corners, corners[ends]], axis=1)
+    areas = np.bincount(
+        side_charts, 0.5 * (corners[:, 0] * corners[ends, 1] - corners[:, 1] * corners[ends, 0]), num_charts
+    )
+    mirror = np.array([1.0, -1.0])  # v runs down: seen as an image, no chart is mirrored
+    packing = pack_charts(segments * mirror, side_charts, num_charts, areas, size_px, gutter_px, min_chart_px)
+    uv_charts = np.zeros(len(points), np.int32)
+    uv_charts[layout.face_uvs] = layout.face_charts[:, None]
+    placed = packing.apply(uvs * mirror, uv_charts)
+    placed[layout.boundary_uvs] = _along_sides(layout, packing.apply(corners * mirror, side_charts))
+    return placed
+
+
+def _side_ends(layout: Layout) -> Ints:
+    """The side that follows each side around its chart."""
+    ends = np.arange(1, len(layout.side_paths) + 1)
+    ends[layout.chart_first[1:] - 1] = layout.chart_first[:-1]
+    return ends.astype(np.int32)
+
+
+def _along_sides(layout: Layout, corners: Floats) -> Floats:
+    """Boundary vertices at their fractions, the same expression on both sides of a seam, (B, 2)."""
+    ends = _side_ends(layout)
+    start = np.where(layout.side_forward[:, None], corners, corners[ends])
+    stop = np.where(layout.side_forward[:, None], corners[ends], corners)
+    side = layout.boundary_sides
+    t = layout.boundary_fractions[:, None]
+    return start[side] + t * (stop[side] - start[side])
+
+
+def _path_lengths(positions: Floats, layout: Layout) -> Floats:
+    """Arc length of each path, metres, (P,)."""
+    step = np.linalg.norm(np.diff(positions[layout.path_vertices], axis=0), axis=1)
+    step = np.r_[step, 0.0]
+    step[layout.path_first[1:] - 1] = 0.0
+    path = np.repeat(np.arange(len(layout.path_first) - 1), np.diff(layout.path_first))
+    return np.maximum(np.bincount(path, step, minlength=len(layout.path_first) - 1), 1e-12)
