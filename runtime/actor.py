@@ -1,0 +1,338 @@
+"""One character on the stage: where it stands, what it plays. And many of them gathered for drawing.
+
+An `Actor` is a handle: its animation lives in a row of its model's `Mixer`, its place in its own `transform`.
+Letters in shapes: A actors, J joints, N nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from runtime.bounds import pose_bounds
+from runtime.clip import Clip
+from runtime.mixer import Mixer
+from runtime.skeleton import Skeleton
+
+Floats = NDArray[np.floating[Any]]
+
+
+class AssetLike(Protocol):
+    """What an actor needs to know of a loaded character."""
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """Nodes and joints."""
+
+    @property
+    def joint_bounds(self) -> Sequence[NDArray[np.float64] | None]:
+        """Box (2, 3) of the vertices that each joint moves, at rest; None for a joint that moves none."""
+
+
+class ModelLike(Protocol):
+    """What an actor needs of its model."""
+
+    mixer: Mixer
+
+    @property
+    def asset(self) -> Any:
+        """The loaded character (see `AssetLike`)."""
+
+
+class HasTransform(Protocol):
+    """Anything that can be attached to a joint."""
+
+    transform: Any
+
+
+class Actor:
+    """A character that stands somewhere and plays clips.
+
+    Made by ``model.actor(...)``; needs no OpenGL of its own.
+
+    Parameters
+    ----------
+    model : Model
+    clip : name or number of a clip, or a Clip, optional
+        The rest pose without.
+    transform : (4, 4) float, optional
+        Object space to world; identity by default.
+    tint : (3,) or (4,) float
+        Multiplies the base colour, linear.
+    root_motion : bool
+        Let the clip carry the actor over the ground: `update` moves `transform` rather than the root joint.
+    time_s, speed, loop
+        As for `play`.
+    """
+
+    def __init__(
+        self,
+        model: ModelLike,
+        clip: str | int | Clip | None = None,
+        *,
+        transform: ArrayLike | None = None,
+        tint: ArrayLike = (1.0, 1.0, 1.0, 1.0),
+        root_motion: bool = False,
+        time_s: float = 0.0,
+        speed: float = 1.0,
+        loop: bool = True,
+    ) -> None:
+        self.model = model
+        self.visible = True
+        self._mixer = model.mixer
+        self._row: int | None = self._mixer.add_row()
+        self._transform: NDArray[np.float64] = np.eye(4)
+        self._tint: NDArray[np.float32] = np.ones(4, dtype=np.float32)
+        self._attached: list[tuple[HasTransform, int, NDArray[np.float64]]] = []
+        self._root_motion = root_motion
+        try:
+            self.tint = tint
+            if transform is not None:
+                self.transform = transform
+            if root_motion:
+                self._mixer.moves_root(self._row, True)
+            if clip is not None:
+                self.play(clip, time_s=time_s, speed=speed, loop=loop)
+        except ValueError:
+            self.release()
+            raise
+
+    # Place and looks
+
+    @property
+    def transform(self) -> NDArray[np.float64]:
+        """Object space to world, (4, 4) float64 acting on column vectors. May be written to in place."""
+        return self._transform
+
+    @transform.setter
+    def transform(self, value: ArrayLike) -> None:
+        matrix = np.array(value, dtype=np.float64)
+        if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+            raise ValueError(
+                f"an actor's transform must be a finite 4×4 matrix, not shape {matrix.shape}: {value!r:.80}"
+            )
+        self._transform = matrix
+
+    @property
+    def tint(self) -> NDArray[np.float32]:
+        """Factor of the base colour, (4,) float32 linear RGBA."""
+        return self._tint
+
+    @tint.setter
+    def tint(self, value: ArrayLike) -> None:
+        color = np.array(value, dtype=np.float32)
+        if color.shape not in ((3,), (4,)) or not np.isfinite(color).all():
+            raise ValueError(f"a tint is three or four finite numbers, not {value!r:.80}")
+        self._tint = np.append(color, np.float32(1)) if len(color) == 3 else color
+
+    # Animation
+
+    @property
+    def row(self) -> int:
+        """Row in the model's mixer; ValueError when the actor was released."""
+        if self._row is None:
+            raise ValueError("this actor was released; make a new one with model.actor()")
+        return self._row
+
+    @property
+    def released(self) -> bool:
+        """Whether the actor is gone. Drawing skips it."""
+        return self._row is None
+
+    def play(
+        self,
+        clip: str | int | Clip,
+        *,
+        fade_s: float = 0.0,
+        speed: float = 1.0,
+        time_s: float = 0.0,
+        loop: bool = True,
+        layer: str | int = 0,
+    ) -> None:
+        """Start a clip on a layer, fading from what plays there. See `Mixer.play`."""
+        self._mixer.play(self.row, clip, fade_s=fade_s, speed=speed, time_s=time_s, loop=loop, layer=layer)
+
+    def stop(self, layer: str | int, *, fade_s: float = 0.0) -> None:
+        """Silence a layer, within `fade_s` seconds."""
+        self._mixer.stop(self.row, layer, fade_s=fade_s)
+
+    def set_layer_weight(self, layer: str | int, weight: float) -> None:
+        """Set how much a layer counts, 0 to 1."""
+        self._mixer.set_layer_weight(self.row, layer, weight)
+
+    @property
+    def clip(self) -> str | None:
+        """Name of the clip that plays now."""
+        clip, _ = self._mixer.playing(self.row)
+        return None if clip is None else clip.name
+
+    @property
+    def time_s(self) -> float:
+        """Time inside the clip that plays now, seconds. Set it to seek."""
+        return self._mixer.playing(self.row)[1]
+
+    @time_s.setter
+    def time_s(self, value: float) -> None:
+        self._mixer.seek(self.row, value)
+
+    def set_speed(self, speed: float) -> None:
+        """Set the speed of the clip that plays now."""
+        self._mixer.set_speed(self.row, speed)
+
+    def update(self, dt_s: float) -> None:
+        """Let time run on.
+
+        Parameters
+        ----------
+        dt_s : float, seconds
+
+        Notes
+        -----
+        Costs a fraction of a microsecond: the work is done for all actors of a model together when they are drawn.
+        Root motion and attached objects are carried out at once.
+        """
+        self._mixer.note_time(self.row, dt_s)
+        if self._root_motion:
+            moved = self._mixer.take_displacement(self.row)
+            self._transform[:3, 3] += self._transform[:3, :3] @ moved
+        if self._attached:
+            self._place_attached()
+
+    # Joints
+
+    @property
+    def joint_rows(self) -> Floats:
+        """Skinning matrices of the current pose, (J, 3, 4) float32."""
+        result: Floats = self._mixer.joint_rows(self.row)[0]
+        return result
+
+    def joint_transform(self, joint: str | int) -> NDArray[np.float64]:
+        """Matrix of a node (a joint or a socket below one) in the world, (4, 4) float64.
+
+        Parameters
+        ----------
+        joint : name or number of a node of the skeleton
+        """
+        node = self._mixer.skeleton.node(joint)
+        matrix = np.eye(4)
+        matrix[:3] = self._mixer.node_rows(self.row)[node]
+        return self._transform @ matrix
+
+    def attach(self, thing: HasTransform, joint: str | int, offset: ArrayLike | None = None) -> None:
+        """Let a thing's `transform` follow a joint from now on.
+
+        Parameters
+        ----------
+        thing : anything with a `transform` attribute, another actor for instance
+        joint : name or number of a node
+        offset : (4, 4) float, optional
+            From the thing's space to the joint's.
+        """
+        node = self._mixer.skeleton.node(joint)
+        place = np.eye(4) if offset is None else np.array(offset, dtype=np.float64)
+        if place.shape != (4, 4) or not np.isfinite(place).all():
+            raise ValueError("an offset must be a finite 4×4 matrix")
+        self.detach(thing)
+        self._attached.append((thing, node, place))
+        self._place_attached()
+
+    def detach(self, thing: HasTransform) -> None:
+        """Let go of a thing; nothing happens when it was not attached."""
+        self._attached = [entry for entry in self._attached if entry[0] is not thing]
+
+    def _place_attached(self) -> None:
+        for thing, node, offset in self._attached:
+            thing.transform = self.joint_transform(node) @ offset
+
+    def set_joints(self, matrices: ArrayLike | None) -> None:
+        """Set joints from code (physics), in object space: (J, 4, 4), NaN where one keeps its own; None undoes."""
+        self._mixer.set_matrices(self.row, matrices)
+
+    def set_joint_rotations(self, rotations: ArrayLike | None) -> None:
+        """Set local rotations from code (IK, looking at): (J, 4) xyzw, NaN where one keeps its own; None undoes."""
+        self._mixer.set_rotations(self.row, rotations)
+
+    @property
+    def bounds(self) -> Floats:
+        """Box that holds the current pose, (2, 3) float32, object space, metres."""
+        result: Floats = pose_bounds(self._mixer.joint_rows(self.row), joint_boxes_of(self.model))[0]
+        return result
+
+    def release(self) -> None:
+        """Take the actor off the stage. May be called again, and while a list that holds it is drawn."""
+        if self._row is not None:
+            self._mixer.remove_row(self._row)
+            self._row = None
+            self._attached = []
+
+
+def joint_boxes_of(model: ModelLike) -> NDArray[np.float64]:
+    """Joint boxes of a model's character, (J, 2, 3); infinite where a joint moves nothing."""
+    nothing = np.array([[np.inf] * 3, [-np.inf] * 3])
+    boxes = [nothing if box is None else np.asarray(box, dtype=np.float64) for box in model.asset.joint_bounds]
+    return np.array(boxes, dtype=np.float64).reshape(-1, 2, 3)
+
+
+@dataclass(frozen=True)
+class ActorBatch:
+    """All visible actors of one model, ready to draw.
+
+    Attributes
+    ----------
+    actors : tuple of A Actor
+    transforms : (A, 4, 4) float32
+    joint_rows : (A, J, 3, 4) float32, contiguous
+    bounds : (A, 2, 3) float32
+        Box of each actor's pose, object space.
+    tints : (A, 4) float32
+    """
+
+    actors: tuple[Actor, ...]
+    transforms: NDArray[np.float32]
+    joint_rows: Floats
+    bounds: Floats
+    tints: NDArray[np.float32]
+
+
+def gather(actors: Iterable[Actor]) -> list[tuple[Any, ActorBatch]]:
+    """Sort actors by model and pose each model's together.
+
+    Invisible and released actors are left out; the caller may change its own list meanwhile.
+
+    Returns
+    -------
+    list of (model, ActorBatch), models in order of appearance
+
+    Raises
+    ------
+    ValueError
+        When a transform is not finite: it says which actor of the list.
+    """
+    listed = [actor for actor in tuple(actors) if actor.visible and not actor.released]
+    if not listed:
+        return []
+    transforms = np.array([actor.transform for actor in listed], dtype=np.float64)
+    if not np.isfinite(transforms).all():
+        broken = int(np.flatnonzero(~np.isfinite(transforms).all(axis=(1, 2)))[0])
+        raise ValueError(f"the transform of actor {broken} of those to draw is not finite; check what sets it")
+    groups: dict[int, list[int]] = {}
+    for index, actor in enumerate(listed):
+        groups.setdefault(id(actor.model), []).append(index)
+    batches: list[tuple[Any, ActorBatch]] = []
+    for members in groups.values():
+        group = tuple(listed[index] for index in members)
+        model = group[0].model
+        rows = model.mixer.joint_rows([actor.row for actor in group])
+        batch = ActorBatch(
+            actors=group,
+            transforms=transforms[members].astype(np.float32),
+            joint_rows=rows,
+            bounds=pose_bounds(rows, joint_boxes_of(model)),
+            tints=np.array([actor.tint for actor in group], dtype=np.float32),
+        )
+        batches.append((model, batch))
+    return batches
