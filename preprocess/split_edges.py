@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,7 +133,7 @@ def apply_split(mesh: SkinnedMesh, split: EdgeSplit) -> SkinnedMesh:
     source, weights = split.face_source, split.corner_weights
     whole = (weights == 1.0).any(axis=2)  # corners that were corners before: copied bit by bit
 
-    def blend(values: NDArray[np.generic]) -> NDArray[np.generic]:
+    def blend(values: NDArray[Any]) -> NDArray[Any]:
         old = values[source]
         mixed = np.einsum("fck,fk...->fc...", weights, old.astype(np.float64))
         kept = np.take_along_axis(

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numba
 import numpy as np
@@ -175,7 +176,7 @@ def _energy(points, faces, inverse, areas, epsilon, gradient):  # type: ignore[n
     return total
 
 
-def _solve_cg(system: csr_array, right: Floats) -> Floats:
+def _solve_cg(system: Any, right: Floats) -> Floats:
     """Conjugate gradients, to a relative residual of 1e-5: it makes a starting point only, so exactness is idle.
 
     NumPy's own sums, here and below, give the same bits whatever the number of threads; BLAS does not.
@@ -268,8 +269,9 @@ def _spread_harmonically(surface: TexturedSurface, displacement: Floats, fixed: 
     right = links[free] @ np.where(fixed[:, None], displacement, 0.0)
     # Scaled to a unit diagonal, which is Jacobi's preconditioner.
     scale = 1.0 / np.sqrt(degree[free])
-    system = coo_array(inner)
-    system = csr_array((-system.data * scale[system.row] * scale[system.col], (system.row, system.col)), inner.shape)
+    entries = coo_array(inner)
+    scaled = -entries.data * scale[entries.row] * scale[entries.col]
+    system = csr_array((scaled, (entries.row, entries.col)), shape=inner.shape)
     system.setdiag(1.0)
     result = displacement.copy()
     for axis in range(2):
@@ -310,9 +312,7 @@ def _relax(surface: TexturedSurface, uvs: Floats, faces: NDArray[np.int64], free
     return result
 
 
-def remap_interior(
-    surface: TexturedSurface, boundary_uvs: Floats, fixed: Bools, rest: RestShapes
-) -> tuple[Floats, Bools]:
+def remap_interior(surface: TexturedSurface, boundary_uvs: Floats, fixed: Bools, rest: RestShapes) -> Floats:
     """Move interior texture vertices after the boundary.
 
     Parameters
@@ -327,9 +327,8 @@ def remap_interior(
 
     Returns
     -------
-    uvs : (T, 2) float64
-    folded : (F,) bool
-        Faces that remain folded or without area (relative area below `LEAST_AREA`).
+    (T, 2) float64
+        Without folds where the solver found such a map: see `relative_areas` and `LEAST_AREA`.
     """
     displacement = np.where(fixed[:, None], boundary_uvs - surface.uvs, 0.0)
     uvs = surface.uvs + _spread_harmonically(surface, displacement, fixed, rest)
@@ -338,7 +337,7 @@ def remap_interior(
     for _ in range(2):  # a second time with what the first one squeezed outside its patch
         area = relative_areas(surface, uvs, rest)
         squeezed = (area < SQUEEZED_AREA) | (shape_distortions(surface, uvs, rest) > SQUEEZED_SHAPE)
-        squeezed &= ~fixed[surface.face_uvs].all(axis=1)
+        squeezed = squeezed & ~fixed[surface.face_uvs].all(axis=1)
         if not squeezed.any():
             break
         patch = squeezed.copy()
@@ -348,4 +347,4 @@ def remap_interior(
             patch = used[surface.face_uvs].any(axis=1)
         free = used & ~fixed
         uvs = _relax(surface, uvs, np.flatnonzero(patch), free, rest)
-    return uvs, relative_areas(surface, uvs, rest) < LEAST_AREA
+    return uvs
