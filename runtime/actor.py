@@ -6,7 +6,7 @@ Letters in shapes: A actors, J joints, N nodes.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -16,21 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from runtime.bounds import pose_bounds
 from runtime.clip import Clip
 from runtime.mixer import Mixer
-from runtime.skeleton import Skeleton
 
 Floats = NDArray[np.floating[Any]]
-
-
-class AssetLike(Protocol):
-    """What an actor needs to know of a loaded character."""
-
-    @property
-    def skeleton(self) -> Skeleton:
-        """Nodes and joints."""
-
-    @property
-    def joint_bounds(self) -> Sequence[NDArray[np.float64] | None]:
-        """Box (2, 3) of the vertices that each joint moves, at rest; None for a joint that moves none."""
 
 
 class ModelLike(Protocol):
@@ -40,7 +27,7 @@ class ModelLike(Protocol):
 
     @property
     def asset(self) -> Any:
-        """The loaded character (see `AssetLike`)."""
+        """The loaded character, a `runtime.asset.Asset`."""
 
 
 class HasTransform(Protocol):
@@ -271,9 +258,15 @@ class Actor:
 
 
 def joint_boxes_of(model: ModelLike) -> NDArray[np.float64]:
-    """Joint boxes of a model's character, (J, 2, 3); infinite where a joint moves nothing."""
+    """Joint boxes of a model's character, (J, 2, 3); infinite where a joint moves nothing.
+
+    A character whose manifest has none gets its whole box for every joint: safe, and looser.
+    """
+    manifest = model.asset.manifest
     nothing = np.array([[np.inf] * 3, [-np.inf] * 3])
-    boxes = [nothing if box is None else np.asarray(box, dtype=np.float64) for box in model.asset.joint_bounds]
+    if all(box is None for box in manifest.joint_bounds):
+        nothing = np.asarray(manifest.bind_bounds, dtype=np.float64)
+    boxes = [nothing if box is None else np.asarray(box, dtype=np.float64) for box in manifest.joint_bounds]
     return np.array(boxes, dtype=np.float64).reshape(-1, 2, 3)
 
 

@@ -40,7 +40,8 @@ def angle_about_x(quaternion: np.ndarray) -> float:
 
 def model_of(skeleton: Skeleton, clips: list[Clip]) -> Any:
     boxes = [np.array([[-1.0] * 3, [1.0] * 3])] * skeleton.num_joints
-    return SimpleNamespace(mixer=Mixer(skeleton, clips), asset=SimpleNamespace(skeleton=skeleton, joint_bounds=boxes))
+    manifest = SimpleNamespace(joint_bounds=tuple(boxes), bind_bounds=boxes[0])
+    return SimpleNamespace(mixer=Mixer(skeleton, clips), asset=SimpleNamespace(manifest=manifest))
 
 
 @pytest.fixture
