@@ -340,11 +340,11 @@ def remap_interior(surface: TexturedSurface, boundary_uvs: Floats, fixed: Bools,
         squeezed = squeezed & ~fixed[surface.face_uvs].all(axis=1)
         if not squeezed.any():
             break
-        patch = squeezed.copy()
+        patch: Bools = squeezed.copy()
         for _ in range(PATCH_RINGS):
             used[:] = False
             used[surface.face_uvs[patch].ravel()] = True
-            patch = used[surface.face_uvs].any(axis=1)
+            patch = np.asarray(used[surface.face_uvs].any(axis=1))
         free = used & ~fixed
         uvs = _relax(surface, uvs, np.flatnonzero(patch), free, rest)
     return uvs
