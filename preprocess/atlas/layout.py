@@ -34,6 +34,8 @@ class Layout:
         Start of each path in `path_vertices`.
     path_vertices : (N',) int32
         Surface vertices along the paths, both ends included.
+    path_edges : (N',) int32
+        Edge from each of them to the next, -1 at a path's last vertex.
     path_fractions : (N',) float64
         Fraction of the 3D arc length, 0 at the first vertex and 1 at the last.
     chart_first : (C + 1,) int32
@@ -44,9 +46,9 @@ class Layout:
         Whether the chart walks the path in its direction.
     side_uvs : (N,) int32
         Texture vertex at the side's start.
-    boundary_uvs, boundary_sides, boundary_fractions : (B,)
-        Texture vertices on chart boundaries (sides' starts included), a side of each, and the fraction along that
-        side's path.
+    boundary_uvs, boundary_sides, boundary_slots : (B,) int32
+        Texture vertices on chart boundaries (sides' starts included), the side of each, and its entry in
+        `path_vertices` along that side.
     """
 
     cut: Bools
@@ -55,6 +57,7 @@ class Layout:
     uv_vertices: Ints
     path_first: Ints
     path_vertices: Ints
+    path_edges: Ints
     path_fractions: Floats
     chart_first: Ints
     side_paths: Ints
@@ -62,7 +65,7 @@ class Layout:
     side_uvs: Ints
     boundary_uvs: Ints
     boundary_sides: Ints
-    boundary_fractions: Floats
+    boundary_slots: Ints
 
     @property
     def num_charts(self) -> int:
@@ -73,6 +76,13 @@ class Layout:
     def num_sides(self) -> Ints:
         """Sides of each chart's polygon, (C,)."""
         return np.diff(self.chart_first).astype(np.int32)
+
+    @property
+    def side_ends(self) -> Ints:
+        """The side that follows each side around its polygon, (N,)."""
+        ends = np.arange(1, len(self.side_paths) + 1, dtype=np.int32)
+        ends[self.chart_first[1:] - 1] = self.chart_first[:-1]
+        return ends
 
     @property
     def floor_faces(self) -> int:
@@ -136,11 +146,8 @@ def build_layout(positions: Floats, faces: Ints, edges: MeshEdges, cut: Bools, e
     path_of_step = np.repeat(np.arange(len(path_first) - 1), np.diff(path_first))
     real = path_edges >= 0
     edge_path[cut_ids[path_edges[real]]] = path_of_step[real]
-    edge_fraction = np.zeros((len(cut), 2))  # at the edge's lower and higher vertex
-    step = np.flatnonzero(real)
-    low_first = edges.vertices[cut_ids[path_edges[step]], 0] == path_vertices[step]
-    edge_fraction[cut_ids[path_edges[step]], 0] = np.where(low_first, fractions[step], fractions[step + 1])
-    edge_fraction[cut_ids[path_edges[step]], 1] = np.where(low_first, fractions[step + 1], fractions[step])
+    edge_slot = np.full(len(cut), -1, np.int32)
+    edge_slot[cut_ids[path_edges[real]]] = np.flatnonzero(real)
 
     # Boundary half-edges of the charts, chained by texture vertex.
     flat_edges = edges.face_edges.reshape(-1)
@@ -149,9 +156,8 @@ def build_layout(positions: Floats, faces: Ints, edges: MeshEdges, cut: Bools, e
     start_uv = face_uvs.reshape(-1)[halves]
     end_uv = np.roll(face_uvs, -1, axis=1).reshape(-1)[halves]
     charts = face_charts[halves // 3]
-    low = edges.vertices[flat_edges[halves], 0] == start
-    at_start = np.where(low, edge_fraction[flat_edges[halves], 0], edge_fraction[flat_edges[halves], 1])
-    at_end = np.where(low, edge_fraction[flat_edges[halves], 1], edge_fraction[flat_edges[halves], 0])
+    slot = edge_slot[flat_edges[halves]]
+    forward = path_vertices[slot] == start
     following = np.full(num_uvs, -1, np.int32)
     following[start_uv] = np.arange(len(halves))
     is_start = corner[start]
@@ -169,14 +175,15 @@ def build_layout(positions: Floats, faces: Ints, edges: MeshEdges, cut: Bools, e
         uv_vertices=uv_vertices,
         path_first=path_first,
         path_vertices=path_vertices,
+        path_edges=np.where(real, cut_ids[path_edges], -1).astype(np.int32),
         path_fractions=fractions,
         chart_first=chart_first,
         side_paths=edge_path[flat_edges[halves[side_halves]]],
-        side_forward=(at_end > at_start)[side_halves],
+        side_forward=forward[side_halves],
         side_uvs=start_uv[side_halves],
         boundary_uvs=start_uv,
         boundary_sides=half_sides,
-        boundary_fractions=at_start,
+        boundary_slots=np.where(forward, slot, slot + 1).astype(np.int32),
     )
 
 

@@ -7,6 +7,8 @@ one inscribed in a circle, its arcs in proportion to its side lengths.
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from preprocess.mesh import Floats, Ints
@@ -38,7 +40,7 @@ def convex_polygons(corners: Floats, chart_first: Ints, side_lengths: Floats) ->
         Each polygon has the area of its free map's polygon where that is positive.
     """
     result = np.empty_like(corners)
-    for low, high in zip(chart_first[:-1], chart_first[1:], strict=True):
+    for low, high in itertools.pairwise(chart_first):
         result[low:high] = _convex_polygon(corners[low:high], side_lengths[low:high])
     return result
 

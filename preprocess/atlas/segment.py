@@ -117,17 +117,17 @@ def _grow(neighbors, areas, points, domains, seeds, iterations):  # type: ignore
         labels[:] = -1
         size = 0
         for r in range(num_regions):
-            size = _push(keys, items, size, -1.0, seeds[r], r)
+            size = push_item(keys, items, size, -1.0, seeds[r], r)
         while size > 0:
             f, r = items[0, 0], items[0, 1]
-            size = _pop(keys, items, size)
+            size = pop_item(keys, items, size)
             if labels[f] >= 0:
                 continue
             labels[f] = r
             for k in range(3):
                 g = neighbors[f, k]
                 if g >= 0 and labels[g] < 0 and domains[g] == domains[f]:
-                    size = _push(keys, items, size, _distance_sq(points[g], proxies[r]), g, r)
+                    size = push_item(keys, items, size, _distance_sq(points[g], proxies[r]), g, r)
         if step == iterations - 1:
             break
         total = np.zeros(num_regions)
@@ -170,7 +170,7 @@ def _distance_sq(a, b):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _push(keys, items, size, key, first, second):  # type: ignore[no-untyped-def]
+def push_item(keys, items, size, key, first, second):  # type: ignore[no-untyped-def]
     """Add to a binary heap; equal keys leave in the order of their items, so that the result never depends on luck."""
     i = size
     while i > 0:
@@ -187,7 +187,7 @@ def _push(keys, items, size, key, first, second):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True)
-def _pop(keys, items, size):  # type: ignore[no-untyped-def]
+def pop_item(keys, items, size):  # type: ignore[no-untyped-def]
     """Remove the root of a binary heap; returns the new size."""
     size -= 1
     key, first, second = keys[size], items[size, 0], items[size, 1]

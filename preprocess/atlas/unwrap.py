@@ -19,10 +19,11 @@ from preprocess.atlas.pack import pack_charts
 from preprocess.atlas.polygons import convex_polygons
 from preprocess.atlas.relax import relax_paths
 from preprocess.atlas.segment import grow_regions
-from preprocess.atlas.split import split_edges
+from preprocess.atlas.smooth import smooth_charts
 from preprocess.atlas.topology import Bools, MeshEdges, face_frames, find_edges, label_faces
 from preprocess.errors import InputError
 from preprocess.mesh import Floats, Ints, SkinnedMesh, TexturedSurface
+from preprocess.split_edges import apply_split, split_edges
 
 log = logging.getLogger(__name__)
 
@@ -78,14 +79,14 @@ def unwrap(mesh: SkinnedMesh, floor_faces: int, size_px: int, gutter_px: float, 
     if not len(surface.faces):
         raise InputError("the mesh has no faces: there is nothing to unwrap")
     edges = find_edges(surface.faces)
-    cut, layout = _fit_layout(surface, edges, floor_faces)
+    layout = _fit_layout(surface, edges, floor_faces)
     mesh, edges, layout, num_split = _split_chords(mesh, edges, layout)
     uvs = _map_charts(mesh.surface, layout, size_px, gutter_px, min_chart_px)
     surface = TexturedSurface(mesh.surface.positions, mesh.surface.faces, uvs, layout.face_uvs)
     return Unwrapped(mesh.with_surface(surface), layout, num_split)
 
 
-def _fit_layout(surface: TexturedSurface, edges: MeshEdges, floor_faces: int) -> tuple[Bools, Layout]:
+def _fit_layout(surface: TexturedSurface, edges: MeshEdges, floor_faces: int) -> Layout:
     """The layout with the most regions whose floor is within the budget."""
     budget = BUDGET_SHARE * floor_faces
     frames = face_frames(surface.positions, surface.faces)
@@ -93,17 +94,15 @@ def _fit_layout(surface: TexturedSurface, edges: MeshEdges, floor_faces: int) ->
     part_area = np.bincount(parts, frames[0], minlength=num_parts)
     share = part_area / max(part_area.sum(), 1e-300)
     wanted = budget
-    best: tuple[Bools, Layout] | None = None
+    best: Layout | None = None
     for _ in range(5):
         counts = np.maximum(np.rint((wanted * share + 4) / FACES_PER_REGION).astype(np.int32), 1)
         cut = _cut_regions(surface, edges, frames, parts, counts)
         layout = build_layout(surface.positions, surface.faces, edges, cut)
         log.debug("%d regions wanted: %d charts, floor %d", counts.sum(), layout.num_charts, layout.floor_faces)
         fits = layout.floor_faces <= budget
-        if best is None or (
-            layout.floor_faces > best[1].floor_faces if fits else layout.floor_faces < best[1].floor_faces
-        ):
-            best = cut, layout
+        if best is None or (layout.floor_faces > best.floor_faces if fits else layout.floor_faces < best.floor_faces):
+            best = layout
         if counts.max() == 1 or (fits and layout.floor_faces >= 0.93 * budget):
             break
         wanted *= np.clip(0.97 * budget / layout.floor_faces, 0.2, 1.5)
@@ -130,7 +129,8 @@ def _cut_regions(
         )
         regions = np.where(domains >= 0, count + halves, regions).astype(np.int32)
         count += added
-    return relax_paths(surface, edges, cut)
+    layout = build_layout(surface.positions, surface.faces, edges, cut)
+    return relax_paths(surface, edges, normals, layout)
 
 
 def _region_borders(edges: MeshEdges, regions: Ints) -> Bools:
@@ -147,7 +147,7 @@ def _split_chords(mesh: SkinnedMesh, edges: MeshEdges, layout: Layout) -> tuple[
     corner = np.zeros(len(mesh.surface.positions), bool)
     corner[layout.path_vertices[layout.path_first[:-1]]] = True
     corner[layout.path_vertices[layout.path_first[1:] - 1]] = True
-    split = split_edges(mesh, edges.vertices[chords])
+    split = apply_split(mesh, split_edges(mesh.surface, edges.vertices[chords]))
     new_edges = find_edges(split.surface.faces)
     stride = len(split.surface.positions)
     old = cut_pairs[:, 0].astype(np.int64) * stride + cut_pairs[:, 1]
@@ -185,46 +185,47 @@ def _map_charts(
     points = surface.positions[layout.uv_vertices]
     num_charts = layout.num_charts
     free = flatten_free(points, layout.face_uvs, layout.face_charts, num_charts)
+    side_charts = np.repeat(np.arange(num_charts), layout.num_sides)
     path_lengths = _path_lengths(surface.positions, layout)
     corners = convex_polygons(free[layout.side_uvs], layout.chart_first, path_lengths[layout.side_paths])
+    frames = face_frames(surface.positions, surface.faces)
+    real_areas = np.bincount(layout.face_charts, frames[0], num_charts)
+    corners *= np.sqrt(real_areas / _polygon_areas(corners, layout))[side_charts][:, None]
 
     boundary = np.zeros(len(points), bool)
     boundary[layout.boundary_uvs] = True
     uvs = np.zeros((len(points), 2))
-    uvs[layout.boundary_uvs] = _along_sides(layout, corners)
+    uvs[layout.boundary_uvs] = _along_sides(layout, corners, layout.path_fractions)
     uvs, folds = flatten_fixed(points, layout.face_uvs, layout.face_charts, num_charts, boundary, uvs)
     if folds.any():
         log.warning("%d of %d charts have folded faces", int((folds > 0).sum()), num_charts)
+    fractions = layout.path_fractions
+    uvs, fractions = smooth_charts(surface.positions, surface.faces, layout, corners, uvs, fractions, folds)
 
-    side_charts = np.repeat(np.arange(num_charts), layout.num_sides)
-    ends = _side_ends(layout)
-    segments = np.stack([corners, corners[ends]], axis=1)
-    areas = np.bincount(
-        side_charts, 0.5 * (corners[:, 0] * corners[ends, 1] - corners[:, 1] * corners[ends, 0]), num_charts
-    )
+    segments = np.stack([corners, corners[layout.side_ends]], axis=1)
     mirror = np.array([1.0, -1.0])  # v runs down: seen as an image, no chart is mirrored
-    packing = pack_charts(segments * mirror, side_charts, num_charts, areas, size_px, gutter_px, min_chart_px)
+    packing = pack_charts(segments * mirror, side_charts, num_charts, real_areas, size_px, gutter_px, min_chart_px)
     uv_charts = np.zeros(len(points), np.int32)
     uv_charts[layout.face_uvs] = layout.face_charts[:, None]
     placed = packing.apply(uvs * mirror, uv_charts)
-    placed[layout.boundary_uvs] = _along_sides(layout, packing.apply(corners * mirror, side_charts))
+    placed[layout.boundary_uvs] = _along_sides(layout, packing.apply(corners * mirror, side_charts), fractions)
     return placed
 
 
-def _side_ends(layout: Layout) -> Ints:
-    """The side that follows each side around its chart."""
-    ends = np.arange(1, len(layout.side_paths) + 1)
-    ends[layout.chart_first[1:] - 1] = layout.chart_first[:-1]
-    return ends.astype(np.int32)
+def _polygon_areas(corners: Floats, layout: Layout) -> Floats:
+    """Area of each chart's polygon, (C,)."""
+    following = corners[layout.side_ends]
+    double = corners[:, 0] * following[:, 1] - corners[:, 1] * following[:, 0]
+    return np.add.reduceat(0.5 * double, layout.chart_first[:-1])
 
 
-def _along_sides(layout: Layout, corners: Floats) -> Floats:
+def _along_sides(layout: Layout, corners: Floats, fractions: Floats) -> Floats:
     """Boundary vertices at their fractions, the same expression on both sides of a seam, (B, 2)."""
-    ends = _side_ends(layout)
+    ends = layout.side_ends
     start = np.where(layout.side_forward[:, None], corners, corners[ends])
     stop = np.where(layout.side_forward[:, None], corners[ends], corners)
     side = layout.boundary_sides
-    t = layout.boundary_fractions[:, None]
+    t = fractions[layout.boundary_slots][:, None]
     return start[side] + t * (stop[side] - start[side])
 
 
