@@ -1,1 +1,58 @@
-"""Draws built characters: skeletons, clips, levels of detail and textures, in a context the caller owns."""
+"""Draws built characters: skeletons, clips, levels of detail and textures, in a context the caller owns.
+
+model = runtime.Model(ctx, runtime.load("human.seamless"))
+actor = model.actor(clip="walk")
+renderer = runtime.Renderer(ctx)
+actor.update(dt)
+renderer.draw([actor], runtime.Camera(eye=(0, 1, 3), target=(0, 1, 0)))
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from runtime.errors import AssetError, RenderError
+
+if TYPE_CHECKING:
+    from runtime.asset import Asset, load
+    from runtime.camera import Camera, MatrixCamera, framing
+    from runtime.environment import Environment, Lighting
+    from runtime.gpu_asset import Model
+    from runtime.renderer import Quality, Renderer
+
+__all__ = [
+    "Asset",
+    "AssetError",
+    "Camera",
+    "Environment",
+    "Lighting",
+    "MatrixCamera",
+    "Model",
+    "Quality",
+    "RenderError",
+    "Renderer",
+    "framing",
+    "load",
+]
+
+_HOMES = {
+    "Asset": "asset",
+    "load": "asset",
+    "Camera": "camera",
+    "MatrixCamera": "camera",
+    "framing": "camera",
+    "Environment": "environment",
+    "Lighting": "environment",
+    "Model": "gpu_asset",
+    "Quality": "renderer",
+    "Renderer": "renderer",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import the rest when it is first asked for: readers of files alone never load OpenGL."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'runtime' has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(f"runtime.{_HOMES[name]}"), name)

@@ -141,6 +141,11 @@ class Asset:
         """Number of joints, J."""
         return len(self.manifest.joints)
 
+    @property
+    def joint_bounds(self) -> tuple[NDArray[np.float64] | None, ...]:
+        """Box (2, 3) at rest of what each joint moves, None for a joint that moves nothing."""
+        return self.manifest.joint_bounds
+
 
 def _box(value: Any, where: str) -> NDArray[np.float64]:
     try:
@@ -189,7 +194,9 @@ def read_manifest(folder: Path) -> Manifest:
         schema=schema,
         joints=joints,
         bind_bounds=_box(bounds.get("bind"), f"{path}: bounds.bind"),
-        joint_bounds=tuple(None if box is None else _box(box, f"{path}: bounds.joints[{i}]") for i, box in enumerate(boxes)),
+        joint_bounds=tuple(
+            None if box is None else _box(box, f"{path}: bounds.joints[{i}]") for i, box in enumerate(boxes)
+        ),
         clip_bounds={
             str(name): _box(box, f"{path}: bounds.clips[{name}]") for name, box in (bounds.get("clips") or {}).items()
         },

@@ -25,7 +25,7 @@ CAPABILITIES = (
 CULL_FACE_MODE, FRONT_FACE, DEPTH_FUNC, DEPTH_WRITEMASK, POLYGON_MODE = 0x0B45, 0x0B46, 0x0B74, 0x0B72, 0x0B40
 BLEND_DST_RGB, BLEND_SRC_RGB, BLEND_DST_ALPHA, BLEND_SRC_ALPHA = 0x80C8, 0x80C9, 0x80CA, 0x80CB
 BLEND_EQUATION_RGB, BLEND_EQUATION_ALPHA = 0x8009, 0x883D
-POLYGON_OFFSET_FACTOR, POLYGON_OFFSET_UNITS, LINE_WIDTH = 0x8038, 0x2A00, 0x0B21
+POLYGON_OFFSET_FACTOR, POLYGON_OFFSET_UNITS, LINE_WIDTH, COLOR_WRITEMASK = 0x8038, 0x2A00, 0x0B21, 0x0C23
 CURRENT_PROGRAM, VERTEX_ARRAY_BINDING, ARRAY_BUFFER_BINDING, UNIFORM_BUFFER_BINDING = 0x8B8D, 0x85B5, 0x8894, 0x8A28
 UNIFORM_BUFFER_START, UNIFORM_BUFFER_SIZE = 0x8A29, 0x8A2A
 ACTIVE_TEXTURE, TEXTURE_BINDING_2D, SAMPLER_BINDING, TEXTURE0 = 0x84E0, 0x8069, 0x8919, 0x84C0
@@ -40,7 +40,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "glGetIntegerv": (None, _U, _P), "glGetInteger64v": (None, _U, _P), "glGetFloatv": (None, _U, _P),
     "glGetIntegeri_v": (None, _U, _U, _P), "glGetInteger64i_v": (None, _U, _U, _P),
     "glIsEnabled": (_B, _U), "glEnable": (None, _U), "glDisable": (None, _U),
-    "glCullFace": (None, _U), "glFrontFace": (None, _U), "glDepthFunc": (None, _U), "glDepthMask": (None, _B),
+    "glCullFace": (None, _U), "glFrontFace": (None, _U), "glDepthFunc": (None, _U), "glDepthMask": (None, _B), "glColorMask": (None, _B, _B, _B, _B),
     "glPolygonMode": (None, _U, _U), "glPolygonOffset": (None, _F, _F), "glLineWidth": (None, _F),
     "glBlendFuncSeparate": (None, _U, _U, _U, _U), "glBlendEquationSeparate": (None, _U, _U),
     "glUseProgram": (None, _U), "glBindVertexArray": (None, _U), "glBindBuffer": (None, _U, _U),
@@ -139,7 +139,7 @@ def saved_state(texture_units: Sequence[int], uniform_bindings: Sequence[int], p
     words = {what: gl.integer(what) for what in _PLAIN_WORDS}
     polygon_mode = gl.integers(POLYGON_MODE, 2)[0]
     offset = gl.number(POLYGON_OFFSET_FACTOR), gl.number(POLYGON_OFFSET_UNITS)
-    line_width = gl.number(LINE_WIDTH)
+    line_width, color_mask = gl.number(LINE_WIDTH), gl.integers(COLOR_WRITEMASK, 4)
     patch_vertices = gl.integer(PATCH_VERTICES) if patches else 0
     active = gl.integer(ACTIVE_TEXTURE)
     textures = []
@@ -164,11 +164,14 @@ def saved_state(texture_units: Sequence[int], uniform_bindings: Sequence[int], p
         gl.glFrontFace(words[FRONT_FACE])
         gl.glDepthFunc(words[DEPTH_FUNC])
         gl.glDepthMask(words[DEPTH_WRITEMASK])
-        gl.glBlendFuncSeparate(*(words[what] for what in (BLEND_SRC_RGB, BLEND_DST_RGB, BLEND_SRC_ALPHA, BLEND_DST_ALPHA)))
+        gl.glBlendFuncSeparate(
+            *(words[what] for what in (BLEND_SRC_RGB, BLEND_DST_RGB, BLEND_SRC_ALPHA, BLEND_DST_ALPHA))
+        )
         gl.glBlendEquationSeparate(words[BLEND_EQUATION_RGB], words[BLEND_EQUATION_ALPHA])
         gl.glPolygonMode(FRONT_AND_BACK, polygon_mode)
         gl.glPolygonOffset(*offset)
         gl.glLineWidth(line_width)
+        gl.glColorMask(*color_mask)
         if patches:
             gl.glPatchParameteri(PATCH_VERTICES, patch_vertices)
         for unit, texture, sampler in textures:

@@ -187,7 +187,13 @@ def build_program(
 
 def _explain_failure(message: str, sources: Mapping[str, ShaderSource]) -> str:
     """The driver's message, with names for file numbers, of the stage that it is about."""
-    stage_of = {"vertex": "vert", "tess_control": "tesc", "tess_evaluation": "tese", "geometry": "geom", "fragment": "frag"}
+    stage_of = {
+        "vertex": "vert",
+        "tess_control": "tesc",
+        "tess_evaluation": "tese",
+        "geometry": "geom",
+        "fragment": "frag",
+    }
     for word, extension in stage_of.items():
         if re.search(rf"\b{word}_shader\b", message):
             for name, source in sources.items():

@@ -46,13 +46,13 @@ float edge_factor(vec3 a, vec3 b, vec4 edge_uvs) {
 }
 
 void main() {
-    int corner = gl_InvocationID;
+    int corner = gl_InvocationID;  // outputs are indexed by the built-in name alone
     mat3x4 world = mat3x4(point_world_row0[corner], point_world_row1[corner], point_world_row2[corner]);
     vec2 owner = point_owner_uv[corner];
-    corner_uv[corner] = point_uv[corner];
-    corner_owner_uv[corner] = owner;
-    corner_edge_uvs[corner] = vec4(point_uv[3 + 2 * corner], point_uv[4 + 2 * corner]);
-    corner_position[corner] = tessellation.z > 0.0
+    corner_uv[gl_InvocationID] = point_uv[corner];
+    corner_owner_uv[gl_InvocationID] = owner;
+    corner_edge_uvs[gl_InvocationID] = vec4(point_uv[3 + 2 * corner], point_uv[4 + 2 * corner]);
+    corner_position[gl_InvocationID] = tessellation.z > 0.0
         ? vec3(0.0)
         : transform_point(world, transform_point(blend_joints(owner, point_numbers[corner].x), rest_position(owner)));
     barrier();

@@ -11,5 +11,10 @@ in vec2 in_uv;
 in vec2 in_owner_uv;
 
 void main() {
-    emit_point(in_uv, in_owner_uv, mat3x4(in_world_row0, in_world_row1, in_world_row2), in_tint, in_numbers);
+#ifdef WITHOUT_OWNERS
+    vec2 geometry_uv = in_uv;
+#else
+    vec2 geometry_uv = in_owner_uv;
+#endif
+    emit_point(in_uv, geometry_uv, mat3x4(in_world_row0, in_world_row1, in_world_row2), in_tint, in_numbers);
 }

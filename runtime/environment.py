@@ -1,0 +1,157 @@
+"""Light: one sun, and all that comes from around as nine harmonics (diffuse) and a small reflection map.
+
+Sources: Ramamoorthi and Hanrahan 2001 (irradiance from nine spherical harmonics); Karis 2013 (a radiance map filtered
+a level a roughness). The reflection map is a longitude-latitude image of six levels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from runtime.errors import RenderError
+
+NUM_LEVELS = 6  # roughness of level k is (k / 5)^2 (shaders/include/lighting.glsl)
+BASE_SIZE = (128, 256)  # rows, columns of level 0
+FILTER_SIZE = (32, 64)  # what the rough levels are filtered from
+
+
+def _directions(rows: int, columns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Unit vectors (rows, columns, 3) of a longitude-latitude image, row 0 up, and the solid angle of each row."""
+    polar = (np.arange(rows) + 0.5) / rows * np.pi
+    around = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi
+    level = np.sin(polar)[:, None]
+    directions = np.stack(
+        [level * np.sin(around), np.broadcast_to(np.cos(polar)[:, None], (rows, columns)), -level * np.cos(around)],
+        axis=-1,
+    )
+    return directions, np.sin(polar) * (np.pi / rows) * (2 * np.pi / columns)
+
+
+def _shrink(image: NDArray[np.float64], rows: int, columns: int) -> NDArray[np.float64]:
+    """Area average to a size that divides the image's."""
+    return image.reshape(rows, image.shape[0] // rows, columns, image.shape[1] // columns, 3).mean(axis=(1, 3))
+
+
+def _resample(image: NDArray[np.float64], rows: int, columns: int) -> NDArray[np.float64]:
+    """Averages over equal cells of any image, or repeated texels of a smaller one."""
+    at_rows = np.linspace(0, image.shape[0], rows * 4, endpoint=False).astype(int)
+    at_columns = np.linspace(0, image.shape[1], columns * 4, endpoint=False).astype(int)
+    return _shrink(image[at_rows][:, at_columns], rows, columns)
+
+
+def _irradiance(image: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Coefficients (9, 3) of irradiance / pi in the polynomials that lighting.glsl writes out."""
+    directions, solid_angle = _directions(*image.shape[:2])
+    x, y, z = np.moveaxis(directions, -1, 0)
+    basis = np.stack([
+        np.full_like(x, 0.282095), 0.488603 * y, 0.488603 * z, 0.488603 * x, 1.092548 * x * y, 1.092548 * y * z,
+        0.315392 * (3 * z * z - 1), 1.092548 * x * z, 0.546274 * (x * x - y * y),
+    ])  # fmt: skip
+    moments = np.einsum("krc,rcn,r->kn", basis, image, solid_angle)
+    cosine_lobe = np.array([1.0] + [2 / 3] * 3 + [1 / 4] * 5)  # divided by pi
+    factors = np.array([0.282095] + [0.488603] * 3 + [1.092548] * 2 + [0.315392, 1.092548, 0.546274])
+    return moments * (cosine_lobe * factors)[:, None]
+
+
+def _filtered(image: NDArray[np.float64], rows: int, columns: int, roughness: float) -> NDArray[np.float64]:
+    """What a surface of this roughness mirrors, by direction: GGX around it, seen head on, weighted by the cosine."""
+    directions, _ = _directions(rows, columns)
+    lights, solid_angle = _directions(*image.shape[:2])
+    cosine = directions.reshape(-1, 3) @ lights.reshape(-1, 3).T
+    n_dot_h_sq = (1.0 + cosine) / 2  # view = normal
+    alpha_sq = roughness**4
+    lobe = 1.0 / (n_dot_h_sq * (alpha_sq - 1.0) + 1.0) ** 2 * np.maximum(cosine, 0.0)
+    lobe *= np.repeat(solid_angle, image.shape[1])
+    lobe /= lobe.sum(axis=1, keepdims=True)
+    return (lobe @ image.reshape(-1, 3)).reshape(rows, columns, 3)
+
+
+@dataclass(frozen=True)
+class Environment:
+    """Light from all around.
+
+    Attributes
+    ----------
+    irradiance : (9, 3) float64
+        Coefficients of the diffuse light, as the radiance of a white sheet.
+    levels : tuple of 6 arrays (128 >> k, 256 >> k, 3) float64
+        Radiance by direction, longitude by latitude, the top row up, the middle column towards -Z; level k for the
+        roughness (k / 5)^2.
+    """
+
+    irradiance: NDArray[np.float64]
+    levels: tuple[NDArray[np.float64], ...] = field(repr=False)
+
+    @staticmethod
+    def from_image(radiance: ArrayLike) -> Environment:
+        """Make one from a longitude-latitude image of linear radiance, (H, W, 3) float, any size.
+
+        Raises
+        ------
+        RenderError
+            If the array is not such an image, or not finite.
+        """
+        image = np.asarray(radiance, np.float64)
+        if image.ndim != 3 or image.shape[2] < 3 or 0 in image.shape or not np.isfinite(image).all():
+            raise RenderError(f"an environment must be an image (H, W, 3) of finite radiance, not {image.shape}")
+        full = _resample(image[:, :, :3], *BASE_SIZE)
+        small = _shrink(full, *FILTER_SIZE)
+        rows, columns = BASE_SIZE
+        levels = [full, _shrink(full, rows // 2, columns // 2)]
+        for level in range(2, NUM_LEVELS):
+            roughness = (level / (NUM_LEVELS - 1)) ** 2
+            levels.append(_filtered(small, rows >> level, columns >> level, roughness))
+        return Environment(_irradiance(small), tuple(levels))
+
+    @staticmethod
+    def uniform(color: ArrayLike = (1.0, 1.0, 1.0)) -> Environment:
+        """The same radiance from everywhere."""
+        return Environment.from_image(np.broadcast_to(np.asarray(color, np.float64), (32, 64, 3)))
+
+    @staticmethod
+    @lru_cache(maxsize=1)
+    def studio() -> Environment:
+        """A bright room: a soft ceiling, a cool window at one side, a warm bounce from the floor."""
+        directions, _ = _directions(*BASE_SIZE)
+        height = directions[..., 1:2]
+        ceiling, wall, floor = (
+            np.array(color) for color in ((0.95, 0.98, 1.05), (0.42, 0.43, 0.46), (0.20, 0.175, 0.155))
+        )
+        image = np.where(
+            height > 0,
+            wall + (ceiling - wall) * np.clip(height, 0, 1) ** 1.5,
+            wall + (floor - wall) * np.clip(-2.2 * height, 0, 1),
+        )
+        for towards, color, narrow in (
+            ((-0.75, 0.45, 0.5), (1.5, 1.75, 2.1), 14.0),
+            ((0.9, 0.25, -0.55), (2.2, 1.85, 1.5), 26.0),
+            ((0.1, 0.95, 0.3), (1.4, 1.4, 1.4), 8.0),
+        ):
+            unit = np.array(towards) / np.linalg.norm(towards)
+            image = image + np.array(color) * np.exp(narrow * ((directions @ unit)[..., None] - 1.0))
+        return Environment.from_image(image)
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """All light in a picture.
+
+    Attributes
+    ----------
+    sun_direction : (3,) float
+        Towards the sun; need not be a unit vector.
+    sun_color : (3,) float
+        Radiance of a white sheet that faces it.
+    environment : Environment
+    exposure : float
+        Multiplies radiance before tone mapping.
+    """
+
+    sun_direction: tuple[float, float, float] = (0.55, 0.75, 0.65)
+    sun_color: tuple[float, float, float] = (1.25, 1.18, 1.05)
+    environment: Environment = field(default_factory=Environment.studio)
+    exposure: float = 0.85
