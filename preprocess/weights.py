@@ -3,8 +3,8 @@
 The paper (section 8) stores weight maps as 8-bit images, one channel a joint, and normalises on the fly. A texel of
 a real character moves with a few joints only, so what is stored here is a list of (joint, weight) pairs a texel, most
 important first, as a stack of RGBA images under one another: joints of slots 0-3, weights of slots 0-3, joints of
-slots 4-7 and so on. Rounding keeps each texel's weights summing to exactly one, so nothing has to be normalised: a
-bilinear blend of partitions of unity is one. The runtime rearranges the stack into records a 2x2 cell
+slots 4-7 and so on. Weights have 255 steps, joint numbers as many bits as they need. Rounding keeps each texel's weights
+summing to exactly one, so nothing has to be normalised: a bilinear blend of partitions of unity is one. The runtime rearranges the stack into records a 2x2 cell
 (runtime/weight_cells.py) and docs/format.md tells why.
 """
 
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 MAX_SLOTS = 8  # pairs kept a texel; real characters have at most 4 a vertex, and a blend of a few vertices a texel
 MAX_JOINTS_8BIT = 256  # joint numbers and weights share one image, so more joints make both 16-bit
+WEIGHT_STEPS = 255  # what the shaders unpack; 16-bit stacks hold multiples of 257
 
 
 @dataclass(frozen=True)
@@ -110,13 +111,14 @@ def pack_weights(dense: NDArray[np.floating], max_slots: int = MAX_SLOTS) -> Pac
     nothing = kept_total <= 0.0
     dropped = np.where(nothing, 0.0, 1.0 - kept_total / np.where(nothing, 1.0, total))
     kept[nothing, 0], joints[nothing, 0] = 1.0, 0
-    steps = _round_to_unity(kept / kept.sum(axis=1, keepdims=True), int(np.iinfo(dtype).max))
+    steps = _round_to_unity(kept / kept.sum(axis=1, keepdims=True), WEIGHT_STEPS)
     joints = np.where(steps > 0, joints, 0)
+    stored = steps * (int(np.iinfo(dtype).max) // WEIGHT_STEPS)
     slots = int((steps > 0).sum(axis=1).max())
     num_images = -(-slots // 4)
     pairs = np.zeros((2, len(weights), num_images * 4), dtype)
     used = min(steps.shape[1], num_images * 4)
-    pairs[0, :, :used], pairs[1, :, :used] = joints[:, :used], steps[:, :used]
+    pairs[0, :, :used], pairs[1, :, :used] = joints[:, :used], stored[:, :used]
     images = pairs.reshape(2, height, width, num_images, 4).transpose(3, 0, 1, 2, 4)
     stack = np.ascontiguousarray(images.reshape(2 * num_images * height, width, 4))
     return PackedWeights(stack, slots, (width, height), float(dropped.max()))

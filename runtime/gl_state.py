@@ -40,7 +40,8 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "glGetIntegerv": (None, _U, _P), "glGetInteger64v": (None, _U, _P), "glGetFloatv": (None, _U, _P),
     "glGetIntegeri_v": (None, _U, _U, _P), "glGetInteger64i_v": (None, _U, _U, _P),
     "glIsEnabled": (_B, _U), "glEnable": (None, _U), "glDisable": (None, _U),
-    "glCullFace": (None, _U), "glFrontFace": (None, _U), "glDepthFunc": (None, _U), "glDepthMask": (None, _B), "glColorMask": (None, _B, _B, _B, _B),
+    "glCullFace": (None, _U), "glFrontFace": (None, _U), "glDepthFunc": (None, _U), "glDepthMask": (None, _B),
+    "glColorMask": (None, _B, _B, _B, _B),
     "glPolygonMode": (None, _U, _U), "glPolygonOffset": (None, _F, _F), "glLineWidth": (None, _F),
     "glBlendFuncSeparate": (None, _U, _U, _U, _U), "glBlendEquationSeparate": (None, _U, _U),
     "glUseProgram": (None, _U), "glBindVertexArray": (None, _U), "glBindBuffer": (None, _U, _U),
@@ -55,7 +56,7 @@ class Functions:
 
     def __init__(self) -> None:
         load = _loader()
-        make = ctypes.WINFUNCTYPE if sys.platform == "win32" else ctypes.CFUNCTYPE
+        make = getattr(ctypes, "WINFUNCTYPE", ctypes.CFUNCTYPE)  # Windows has its own calling convention
         for name, (result, *arguments) in _SIGNATURES.items():
             address = load(name)
             if address:

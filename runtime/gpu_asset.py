@@ -180,9 +180,9 @@ class Model:
         limit = self.ctx.info["GL_MAX_TEXTURE_SIZE"]
         largest = max(max(texture.size) for texture in self.asset.textures.values())
         if largest > limit or 3 * self.asset.num_joints > limit:
+            needed = max(largest, 3 * self.asset.num_joints)
             raise RenderError(
-                f"{self.asset.name} needs textures of {max(largest, 3 * self.asset.num_joints)} texels, this context allows "
-                f"{limit}: build it with smaller sizes"
+                f"{self.asset.name} needs textures of {needed} texels, this context allows {limit}: build it smaller"
             )
 
     def _guard(self) -> Any:

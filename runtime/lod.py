@@ -32,8 +32,9 @@ def visible(corners: Floats, camera: CameraMatrices) -> NDArray[np.bool_]:
     seen_from_eye = corners - camera.eye
     clip = seen_from_eye @ camera.clip_from_world[:, :3].T + camera.clip_from_world[:, 3]
     position, limit = clip[..., :3], clip[..., 3:]
-    beyond = (position < -limit).all(axis=1) | (position > limit).all(axis=1)
-    return ~beyond.any(axis=1)
+    beyond = np.all(position < -limit, axis=1) | np.all(position > limit, axis=1)
+    inside: NDArray[np.bool_] = ~np.any(beyond, axis=1)
+    return inside
 
 
 def pixels_per_metre(

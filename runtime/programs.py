@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from runtime.errors import RenderError
 
@@ -142,8 +142,8 @@ def require_version(ctx: moderngl.Context) -> None:
     if ctx.version_code < MIN_VERSION_CODE:
         code = ctx.version_code
         raise RenderError(
-            f"this context is OpenGL {code // 100}.{code // 10 % 10}, seamskin needs 3.3 (4.1 for tessellation): ask for a "
-            "newer context or update the graphics driver"
+            f"this context is OpenGL {code // 100}.{code // 10 % 10}, seamskin needs 3.3 (4.1 for tessellation): "
+            "ask for a newer context or update the graphics driver"
         )
 
 
@@ -174,7 +174,7 @@ def build_program(
     sources = {name: assemble(name, ctx.version_code, defines) for name in stages}
     if fragment_text is not None:
         sources["caller.frag"] = assemble("caller.frag", ctx.version_code, defines, fragment_text, folder)
-    texts = {STAGES[name.rpartition(".")[2]]: source.text for name, source in sources.items()}
+    texts: dict[str, Any] = {STAGES[name.rpartition(".")[2]]: source.text for name, source in sources.items()}
     try:
         program = ctx.program(**texts)
     except Exception as error:  # moderngl raises its bare Error for every failure here

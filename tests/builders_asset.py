@@ -17,8 +17,8 @@ from preprocess.images import Image, write_image
 from preprocess.texels import px_to_uv
 from preprocess.weights import pack_weights
 
-AXES = np.array([[[0, 0, -1], [0, 1, 0], [1, 0, 0]], [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
-                 [[1, 0, 0], [0, 0, 1], [0, -1, 0]], [[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[-1, 0, 0], [0, 1, 0], [0, 0, -1]]], float)  # fmt: skip
+X, Y, Z = np.eye(3)
+AXES = np.array([[-Z, Y, X], [Z, Y, -X], [X, -Z, Y], [X, Z, -Y], [X, Y, Z], [-X, Y, -Z]])  # right, up, out of each face
 CHART = 0.27  # side of a chart in uv; three by two charts with gutters between them
 RADII = np.array([0.5, 1.0, 0.35])
 CENTRE = np.array([0.0, 1.0, 0.0])
@@ -40,9 +40,9 @@ def surface_point(face: int | np.ndarray, st: np.ndarray) -> np.ndarray:
 
 def surface_normal(face: int | np.ndarray, st: np.ndarray) -> np.ndarray:
     """Outward unit normal, by differences."""
-    step = 1e-5
-    along_s = surface_point(face, st + [step, 0]) - surface_point(face, st - [step, 0])
-    along_t = surface_point(face, st + [0, step]) - surface_point(face, st - [0, step])
+    step_s, step_t = np.eye(2) * 1e-5
+    along_s = surface_point(face, st + step_s) - surface_point(face, st - step_s)
+    along_t = surface_point(face, st + step_t) - surface_point(face, st - step_t)
     normal = np.cross(along_s, along_t)
     return normal / np.linalg.norm(normal, axis=-1, keepdims=True)
 
@@ -244,9 +244,15 @@ def _write_textures(folder: Path, num_joints: int, position_px: int, weight_px: 
     write_image(folder / "weights.png", Image(packed.texels01, packed.format))
     entries: dict[str, Any] = {
         "position": {"file": "position.exr", "size": [position_px] * 2, "format": "float", "mips": 1, "mip_files": []},
-        "weights": {"file": "weights.png", "size": [weight_px] * 2, "format": packed.format, "mips": 1, "layout": "texel-joints",
-                    "slots": packed.slots},
-    }  # fmt: skip
+        "weights": {
+            "file": "weights.png",
+            "size": [weight_px] * 2,
+            "format": packed.format,
+            "mips": 1,
+            "layout": "texel-joints",
+            "slots": packed.slots,
+        },
+    }
     (folder / "mips").mkdir(exist_ok=True)
     num_levels = int(np.log2(color_px)) - 2
     for name, stored in (("normal", "uint16"), ("base_color", "uint8"), ("orm", "uint8")):
