@@ -91,6 +91,7 @@ class EraseOptions:
     seam_value: str = "none"
     joined: NDArray[np.bool_] | None = None
     repeat: bool = False
+    seam_weight: float | None = None
 
 
 @dataclass(frozen=True)
@@ -125,6 +126,7 @@ class Eraser:
     region: Region
     grid: Grid
     intervals: Intervals
+    lengths_m: Floats
     silhouette: Intervals
     jump: sparse.csr_array
     factor: Factor | None
@@ -169,7 +171,8 @@ class Eraser:
             deviation = target - self.rows[name] @ values
             force += weight * (interpolation.T @ (self.rows[name].T @ deviation))
         jump_before = self.jump @ values
-        change, after, repeats = solve_change(self.factor, force / span, jump_before / span, TOLERANCE_REL)
+        tolerance = TOLERANCE_REL if self.options.seam_weight is None else np.inf
+        change, after, repeats = solve_change(self.factor, force / span, jump_before / span, tolerance)
         result = apply_change(self.grid, texels, change * span, negligible=NEGLIGIBLE_REL * float(span.max()))
         before = np.einsum("rc,rc->c", jump_before, jump_before)
         return Erased(result, before, after * span**2, repeats)
@@ -214,7 +217,7 @@ def plan_erasure(
     seams: Seams,
     width: int,
     height: int,
-    options: EraseOptions = EraseOptions(),  # noqa: B008 (frozen)
+    options: EraseOptions = EraseOptions(),
     *,
     sample_uvs: Floats | None = None,
 ) -> Eraser:
@@ -256,7 +259,7 @@ def plan_erasure(
     jump = _on_nodes(jump, grid)
     rows = {name: _on_nodes(matrix, grid) for name, matrix in rows.items()}
     if jump.shape[0] == 0 or not len(grid.nodes):
-        return Eraser(surface, seams, options, region, grid, intervals, silhouette, jump, None, rows, scale)
+        return Eraser(surface, seams, options, region, grid, intervals, lengths, silhouette, jump, None, rows, scale)
 
     weights = options.weights
     matrix = grid_matrix(
@@ -270,9 +273,10 @@ def plan_erasure(
             matrix = matrix + weight * (rows[name].T @ rows[name])
     interpolation = grid.interpolation
     matrix = sparse.csr_matrix(interpolation.T @ matrix @ interpolation)
-    factor = factorise(matrix, sparse.csr_matrix(jump @ interpolation), PENALTY)
+    penalty = PENALTY if options.seam_weight is None else options.seam_weight
+    factor = factorise(matrix, sparse.csr_matrix(jump @ interpolation), penalty)
     logger.debug("erase: %d nodes, %d unknowns at %d x %d", len(grid.nodes), matrix.shape[0], width, height)
-    return Eraser(surface, seams, options, region, grid, intervals, silhouette, jump, factor, rows, scale)
+    return Eraser(surface, seams, options, region, grid, intervals, lengths, silhouette, jump, factor, rows, scale)
 
 
 def _silhouette_lengths(surface: TexturedSurface, seams: Seams, ends: NDArray[np.int32]) -> Floats:
@@ -295,7 +299,7 @@ def erase(
     texels: Floats,
     surface: TexturedSurface,
     seams: Seams,
-    options: EraseOptions = EraseOptions(),  # noqa: B008 (frozen)
+    options: EraseOptions = EraseOptions(),
     *,
     sample_uvs: Floats | None = None,
     sample_values: Floats | None = None,
