@@ -17,7 +17,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.mesh import Ints, TexturedSurface
+from preprocess.mesh import Floats, Ints, TexturedSurface
 from preprocess.seams import find_seams
 
 Int64s = NDArray[np.int64]
@@ -86,6 +86,8 @@ def find_chains(surface: TexturedSurface) -> Chains:
     first = np.searchsorted(ends[incident], np.arange(len(surface.positions) + 1))
     regular = _find_regular_vertices(uv_ids, first, incident)
     points, uv_points, offsets, is_loop = _walk_chains(vertices, uv_ids, first, incident, regular)
+    order = _start_loops_at_corners(surface.uvs[uv_points].reshape(-1, 4), uv_points, offsets, is_loop)
+    points, uv_points = points[order], uv_points[order]
     return Chains(
         offsets=offsets.astype(np.int32),
         vertices=points.astype(np.int32),
@@ -107,6 +109,22 @@ def _find_regular_vertices(uv_ids: Int64s, first: Int64s, incident: Int64s) -> B
     same = (np.sort(mine, axis=1) == np.sort(other, axis=1)).all(axis=1)
     regular[at] = same & (mine[:, 0] != mine[:, 1]) & (h // 2 != g // 2)
     return regular
+
+
+def _start_loops_at_corners(joint: Floats, uv_points: Int64s, offsets: Int64s, is_loop: Bools) -> Int64s:
+    """Order of the points in which every loop starts, and so keeps a point, where it is farthest from its middle."""
+    order = np.arange(len(joint))
+    low, size = offsets[:-1], np.diff(offsets)
+    turns = is_loop & (uv_points[low] == uv_points[offsets[1:] - 1]).all(axis=1)  # a Moebius loop swaps its sides
+    if not turns.any():
+        return order
+    chain = np.repeat(np.arange(len(low)), size)
+    middle = np.add.reduceat(joint, low) / size[:, None]
+    distance = np.linalg.norm(joint - middle[chain], axis=1)
+    farthest = np.lexsort((order, -distance, chain))[low] - low
+    k = order - low[chain]
+    turned = low[chain] + (farthest[chain] + k) % np.maximum(size - 1, 1)[chain]
+    return np.where(turns[chain], turned, order)
 
 
 @numba.njit(cache=True)

@@ -28,13 +28,13 @@ from preprocess.straighten.remap import (
 )
 from preprocess.straighten.runs import (
     edge_lengths_m,
+    find_apartness,
     find_crossing_points,
     find_edges_in_long_runs,
     find_edges_on_one_run,
     find_points_near_faces,
     interior_edges,
     pick_farthest_points,
-    silhouettes_meet,
 )
 from preprocess.straighten.simplify import chain_extents_uv, joint_points, simplify_chains, straight_points
 
@@ -44,6 +44,7 @@ Bools = NDArray[np.bool_]
 
 DEFAULT_TOLERANCE_REL = 0.01  # the paper's, of the diagonal of a component's bounding box
 DEFAULT_DISTORTION = 4.0  # a face may become eight times as long as wide, measured against its shape before
+DEFAULT_GAP_UV = 4.0 / 1024.0  # four texels at the usual size: a bilinear cell on either side, and one mip level
 MOST_ROUNDS = 40  # of giving points back
 LAST_ROUNDS = 4  # of them, in which everything near a fault goes back, and then everything
 THIN_AREA = 0.05  # of its rest area: a triangle with three fixed corners below gets free ones
@@ -111,6 +112,7 @@ def straighten(
     tolerance_rel: float = DEFAULT_TOLERANCE_REL,
     *,
     keep_packing: bool = True,
+    gap_uv: float = DEFAULT_GAP_UV,
     most_distortion: float = DEFAULT_DISTORTION,
 ) -> Straightened:
     """Make seams and boundaries straight where they nearly are, equally on both sides.
@@ -124,6 +126,8 @@ def straighten(
         of its chain's bounding box there. 0 leaves the uvs alone.
     keep_packing : bool
         Keep charts apart that are apart now. Give False where they are packed anew afterwards.
+    gap_uv : float
+        Least distance between two charts that is kept then, or what the layout has where that is less.
     most_distortion : float
         Bound of |J|² / (2 det J) of every face against its shape before, 1 and up; 4 is a stretch of about 8 to 1.
 
@@ -153,8 +157,7 @@ def straighten(
     face_charts = chart_of_faces(surface)
     uv_charts = np.zeros(len(surface.uvs), np.int64)
     uv_charts[surface.face_uvs] = face_charts[:, None]
-    # What may not meet: everything, or the parts of one chart. Layouts that overlap already are no packing to keep.
-    groups = np.zeros_like(uv_charts) if keep_packing and not silhouettes_meet(chains, surface.uvs) else uv_charts
+    apartness = find_apartness(chains, surface.uvs, uv_charts, keep_packing, gap_uv)
 
     must_keep = np.zeros(len(joint), bool)
     must_keep[chains.offsets[:-1]] = must_keep[chains.offsets[1:] - 1] = True
@@ -165,7 +168,7 @@ def straighten(
     for round_number in range(MOST_ROUNDS):
         kept, fractions = simplify_chains(chains, joint, limits, must_keep, kept, fractions, todo)
         moved = straight_points(joint, kept, fractions)
-        spoiled = find_crossing_points(chains, moved, kept, groups)
+        spoiled = find_crossing_points(chains, moved, kept, apartness)
         if not spoiled.any():
             result = _remap(surface, chains, moved, kept, most_distortion)
             if not result.is_bad.any() or kept.all():

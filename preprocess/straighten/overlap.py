@@ -53,28 +53,49 @@ def _meet(p, q, ids_p, ids_q):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _find_meeting(segments, ids, groups, low, high, order):  # type: ignore[no-untyped-def]
-    """Which segments meet another of their group. `order` sorts them by their least x, `low` and `high` are boxes."""
+def _distance_sq(p, q):  # type: ignore[no-untyped-def]
+    """Squared distance of two segments that do not cross: from an end of one to the other."""
+    nearest = np.inf
+    for swap in range(2):
+        s, other = (p, q) if swap == 0 else (q, p)
+        dx, dy = s[2] - s[0], s[3] - s[1]
+        square = dx * dx + dy * dy
+        for end in range(2):
+            x, y = other[2 * end] - s[0], other[2 * end + 1] - s[1]
+            t = min(max((x * dx + y * dy) / square, 0.0), 1.0)
+            nearest = min(nearest, (x - t * dx) ** 2 + (y - t * dy) ** 2)
+    return nearest
+
+
+@numba.njit(cache=True)
+def _find_meeting(segments, ids, charts, keep_apart, gap, low, high, order):  # type: ignore[no-untyped-def]
+    """Which segments meet another. `order` sorts them by their least x; `low` and `high` are their boxes."""
     n = len(segments)
     meets = np.zeros(n, np.bool_)
     for i in range(n):
         p = order[i]
         for j in range(i + 1, n):
             q = order[j]
-            if low[q, 0] > high[p, 0]:
+            if low[q, 0] > high[p, 0] + gap:
                 break
-            if low[q, 1] > high[p, 1] or low[p, 1] > high[q, 1] or groups[p] != groups[q]:
+            if low[q, 1] > high[p, 1] + gap or low[p, 1] > high[q, 1] + gap or (meets[p] and meets[q]):
                 continue
-            if (not meets[p] or not meets[q]) and _meet(segments[p], segments[q], ids[p], ids[q]):
+            same = charts[p] == charts[q]
+            if not same and not keep_apart:
+                continue
+            bad = _meet(segments[p], segments[q], ids[p], ids[q])
+            if not bad and not same and gap > 0.0:
+                bad = _distance_sq(segments[p], segments[q]) < gap * gap
+            if bad:
                 meets[p] = True
                 meets[q] = True
     return meets
 
 
 def find_meeting_segments(
-    segments: Floats, ids: NDArray[np.integer], groups: NDArray[np.integer], margin_uv: float = 0.0
+    segments: Floats, ids: NDArray[np.integer], charts: NDArray[np.integer], keep_apart: bool, gap_uv: float = 0.0
 ) -> Bools:
-    """Which segments cross, touch or run along another one of their group.
+    """Which segments cross, touch or run along another one, or come too near another chart's.
 
     Parameters
     ----------
@@ -82,8 +103,11 @@ def find_meeting_segments(
         End points. Segments without length are ignored.
     ids : (S, 2) int
         Texture vertices at the ends.
-    groups : (S,) int
-        Only segments of one group are compared.
+    charts : (S,) int
+    keep_apart : bool
+        Compare the segments of different charts too.
+    gap_uv : float
+        Least distance of different charts.
 
     Returns
     -------
@@ -93,9 +117,9 @@ def find_meeting_segments(
     real = np.flatnonzero((segments[:, 0] != segments[:, 1]).any(axis=1))
     if len(real):
         kept = segments[real]
-        low, high = kept.min(axis=1) - margin_uv, kept.max(axis=1) + margin_uv
+        low, high = kept.min(axis=1), kept.max(axis=1)
         order = np.argsort(low[:, 0], kind="stable")
         flat = np.ascontiguousarray(kept.reshape(-1, 4))
-        rows = (ids[real].astype(np.int64), groups[real].astype(np.int64))
-        result[real] = _find_meeting(flat, *rows, low, high, order)
+        rows = (ids[real].astype(np.int64), charts[real].astype(np.int64))
+        result[real] = _find_meeting(flat, *rows, keep_apart, float(gap_uv), low, high, order)
     return result

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -50,17 +52,44 @@ def run_segments(chains: Chains, moved: Floats, kept: Bools) -> tuple[Floats, ND
     return np.concatenate(ends), np.concatenate(ids).astype(np.int64), np.concatenate(firsts).astype(np.int64)
 
 
-def silhouettes_meet(chains: Chains, uvs: Floats) -> bool:
-    """Whether silhouettes cross in the input already: such a layout is no one-to-one map that could be kept."""
+@dataclass(frozen=True)
+class Apartness:
+    """What straight runs must keep clear of.
+
+    Attributes
+    ----------
+    uv_charts : (T,) int64
+        Chart of every texture vertex.
+    keep_apart : bool
+        Runs of different charts may not meet either.
+    gap_uv : float
+        Least distance between them.
+    """
+
+    uv_charts: NDArray[np.int64]
+    keep_apart: bool
+    gap_uv: float
+
+
+def find_apartness(
+    chains: Chains, uvs: Floats, uv_charts: NDArray[np.int64], keep_packing: bool, gap_uv: float
+) -> Apartness:
+    """How far charts are apart now, up to `gap_uv` (halved until it holds); not at all where some overlap already."""
     whole = np.ones(len(chains.vertices), bool)
     ends, ids, _ = run_segments(chains, joint_points(chains, uvs), whole)
-    return bool(find_meeting_segments(ends, ids, np.zeros(len(ids), np.int64)).any())
+    charts = uv_charts[ids[:, 0]]
+    if not keep_packing or find_meeting_segments(ends, ids, charts, True).any():
+        return Apartness(uv_charts, False, 0.0)
+    gaps = [gap_uv * 0.5**k for k in range(6)]
+    held = (gap for gap in gaps if not find_meeting_segments(ends, ids, charts, True, gap).any())
+    return Apartness(uv_charts, True, next(held, 0.0))
 
 
-def find_crossing_points(chains: Chains, moved: Floats, kept: Bools, groups: NDArray[np.int64]) -> Bools:
-    """Removed points of the runs that meet another run of their group, (P,) bool."""
+def find_crossing_points(chains: Chains, moved: Floats, kept: Bools, apartness: Apartness) -> Bools:
+    """Removed points of the runs that meet another run, (P,) bool."""
     ends, ids, firsts = run_segments(chains, moved, kept)
-    meets = find_meeting_segments(ends, ids, groups[ids[:, 0]])
+    charts = apartness.uv_charts[ids[:, 0]]
+    meets = find_meeting_segments(ends, ids, charts, apartness.keep_apart, apartness.gap_uv)
     bad_first = np.zeros(len(kept), bool)
     bad_first[firsts[meets]] = True
     before, _ = run_ends(kept)

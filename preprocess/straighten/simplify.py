@@ -132,8 +132,8 @@ def _simplify(joint, length, sides, must_keep, limit_sq):  # type: ignore[no-unt
 
 
 @numba.njit(cache=True)
-def _simplify_all(offsets, joint, is_seam, is_loop, must_keep, limits_sq, kept, fractions, todo):  # type: ignore[no-untyped-def]
-    """`_simplify` for every chain that is marked, into `kept` and `fractions`; loops keep three points or more."""
+def _simplify_all(offsets, joint, is_seam, must_keep, limits_sq, kept, fractions, todo):  # type: ignore[no-untyped-def]
+    """`_simplify` for every chain that is marked, into `kept` and `fractions`."""
     for c in range(len(offsets) - 1):
         if not todo[c]:
             continue
@@ -150,12 +150,6 @@ def _simplify_all(offsets, joint, is_seam, is_loop, must_keep, limits_sq, kept, 
                 y = chain[k, 2 * side + 1] - chain[k - 1, 2 * side + 1]
                 sides[k, side] = sides[k - 1, side] + np.sqrt(x * x + y * y)
             length[k] = length[k - 1] + np.sqrt(((chain[k] - chain[k - 1]) ** 2).sum())
-        if is_loop[c] and n > 4:  # opposite points, so that the triangle that stays at least is no sliver
-            third = np.argmin(np.abs(length - length[n - 1] / 3))
-            keep[third] = True
-            keep[np.argmin(np.abs(length - 2 * length[n - 1] / 3))] = True
-        elif is_loop[c]:
-            keep[:] = True
         kept[low:high], fractions[low:high] = _simplify(chain, length, sides, keep, limits_sq[c])
 
 
@@ -210,7 +204,7 @@ def simplify_chains(
         Of a removed point, between the kept points before and after it; 0 at kept points.
     """
     kept, fractions = kept.copy(), fractions.copy()
-    _simplify_all(chains.offsets, joint, chains.is_seam, chains.is_loop, must_keep, limits_uv**2, kept, fractions, todo)
+    _simplify_all(chains.offsets, joint, chains.is_seam, must_keep, limits_uv**2, kept, fractions, todo)
     return kept, fractions
 
 
