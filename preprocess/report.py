@@ -137,4 +137,4 @@ def _chart_of_face(surface: TexturedSurface) -> NDArray[np.int64]:
     rows, columns = corners[:, [0, 1]].ravel(), corners[:, [1, 2]].ravel()
     graph = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(len(surface.uvs),) * 2)
     labels = connected_components(graph, directed=False)[1]
-    return labels[corners[:, 0]]
+    return labels[corners[:, 0]].astype(np.int64)
