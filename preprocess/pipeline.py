@@ -1,0 +1,118 @@
+"""The stages in order: load, atlas, textures (bake, erase, store), levels of detail, write."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from preprocess.atlas import Atlas, build_atlas
+from preprocess.decimate import DecimateOptions, Lod, decimate
+from preprocess.folder import whole_folder
+from preprocess.gltf import Character, load_character
+from preprocess.mesh import Floats
+from preprocess.progress import Progress
+from preprocess.settings import Settings, floor_faces
+from preprocess.textures import StoredTexture, TextureStage
+from preprocess.write import LodRow, write_folder
+from runtime.pose import rest_pose, sample, skinning_matrices
+
+log = logging.getLogger(__name__)
+
+POSES_A_CLIP = 2  # sampled moments of each clip for sizes, costs and errors
+MAX_POSES = 8
+
+
+@dataclass(frozen=True)
+class BuildResult:
+    """What a build made.
+
+    Attributes
+    ----------
+    lods : tuple of LodRow
+    warnings : tuple of str
+        Everything that was changed, dropped or approximated.
+    timings : dict of str to float
+        Seconds a stage.
+    """
+
+    lods: tuple[LodRow, ...]
+    warnings: tuple[str, ...]
+    timings: dict[str, float]
+
+
+def build(model: Path, destination: Path, settings: Settings, progress: Progress) -> BuildResult:
+    """Build a character's folder from its file.
+
+    Parameters
+    ----------
+    model : Path
+        .gltf, .glb or .vrm.
+    destination : Path
+        Replaced as a whole when everything has succeeded.
+    settings : Settings
+    progress : Progress
+
+    Raises
+    ------
+    InputError
+        If the file cannot be used; nothing is written then.
+    """
+    with whole_folder(destination) as folder:
+        with progress.stage("load") as stage:
+            character = load_character(model)
+            mesh = character.mesh
+            stage.delta = (
+                f"{mesh.num_faces} faces, {character.skeleton.num_joints} joints, {len(character.clips)} clips"
+            )
+        with progress.stage("atlas") as stage:
+            atlas = _build_atlas(character, settings)
+            stage.delta = f"{atlas.mode}, {atlas.num_charts} charts, floor {atlas.floor_faces} faces"
+        poses = sample_poses(character)
+        with progress.stage("textures") as stage:
+            textures = TextureStage(character, atlas, poses, settings).build()
+            stage.delta = ", ".join(f"{t.name} {t.size[0]}×{t.size[1]}" for t in textures)
+        with progress.stage("levels") as stage:
+            lods, notes = _build_lods(atlas, textures, poses, settings)
+            stage.delta = " → ".join(str(lod.num_faces) for lod in lods)
+        warnings = (*character.warnings, *atlas.warnings, *notes)
+        with progress.stage("write"):
+            rows = write_folder(folder, character, atlas, textures, lods, settings, warnings, progress.seconds)
+    return BuildResult(rows, warnings, dict(progress.seconds))
+
+
+def _build_atlas(character: Character, settings: Settings) -> Atlas:
+    floor = floor_faces(character.mesh.num_faces, settings.floor_rel)
+    return build_atlas(character.mesh, mode=settings.atlas, floor=floor)
+
+
+def sample_poses(character: Character) -> Floats:
+    """Skinning matrices of the rest pose and of a few moments spread over the clips, (P, J, 4, 4) float64."""
+    skeleton = character.skeleton
+    poses = [skinning_matrices(skeleton, rest_pose(skeleton))]
+    chosen = character.clips
+    if len(chosen) > MAX_POSES // POSES_A_CLIP:  # spread over a long list of clips
+        chosen = tuple(chosen[i] for i in np.linspace(0, len(chosen) - 1, MAX_POSES // POSES_A_CLIP).astype(int))
+    for clip in chosen:
+        times = clip.duration_s * (np.arange(POSES_A_CLIP) + 0.5) / POSES_A_CLIP
+        poses.append(skinning_matrices(skeleton, sample(clip, skeleton, times)))
+    return np.concatenate(poses)
+
+
+def _build_lods(
+    atlas: Atlas, textures: list[StoredTexture], poses: Floats, settings: Settings
+) -> tuple[tuple[Lod, ...], tuple[str, ...]]:
+    """The chain of levels, and what there is to say about it."""
+    mesh = atlas.mesh
+    position = next(t for t in textures if t.name == "position")
+    dense = mesh.dense_weights(poses.shape[1])
+    blended = np.einsum("vj,pjik->pvik", dense, poses[:, :, :3])
+    options = DecimateOptions(
+        ratios=settings.lod_ratios,
+        relaxed_px=0.0 if settings.exact else DecimateOptions().relaxed_px,
+        texture_px=max(max(t.size) for t in textures),
+    )
+    chain = decimate(mesh.surface, options, position_texture=position.levels[0].astype(np.float64), poses=blended)
+    return chain.lods, (*chain.repairs.warnings(), *chain.warnings)

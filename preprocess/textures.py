@@ -1,0 +1,233 @@
+"""The texture stage: bake every signal into the atlas, erase its seams, round it so that what is stored is seamless.
+
+One eraser (grid, energies, factorisation) serves all textures of a size; one coverage serves all bakes of a size.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from preprocess.atlas import Atlas
+from preprocess.bake import bake_positions, bake_weights, cover_atlas, vertex_values
+from preprocess.erase import (
+    GLOBAL,
+    LOCAL,
+    EraseOptions,
+    Eraser,
+    build_strip,
+    measure_seams,
+    plan_erasure,
+    quantise,
+)
+from preprocess.gltf import Character
+from preprocess.gltf.tangents import corner_tangents
+from preprocess.materials import BakedTexture, bake_materials, bake_normals
+from preprocess.mesh import Floats, SkinnedMesh
+from preprocess.raster import Coverage
+from preprocess.seams import Seams, find_seams
+from preprocess.settings import Settings
+from preprocess.sizes import choose_geometry_size, choose_weight_size
+from preprocess.weights import pack_weights, unpack_weights
+
+log = logging.getLogger(__name__)
+
+STEPS = {"uint8": 255, "uint16": 65535}
+SEAM_WEIGHT = 1e8  # see EraseOptions.seam_weight: leaves about 0.01 of an 8-bit step on straightened seams
+CREASE_DEG = 5.0  # sides of a seam whose corner normals differ by more are a hard edge of the source, and stay one
+
+
+@dataclass(frozen=True)
+class StoredTexture:
+    """A texture as the folder holds it.
+
+    Attributes
+    ----------
+    name : str
+        File stem.
+    levels : tuple of (H, W, C) float
+        Mip levels, finest first; integer formats hold multiples of their step in [0, 1].
+    format : str
+        "uint8", "uint16", "half" or "float".
+    size : (width, height)
+        Of the finest level (of the grid, where the file is a stack of several).
+    seam : dict
+        `before`, `after` (the solution) and `stored` (a list, one a level), each with `rms` and `max`.
+    extra : dict
+        More keys for the manifest.
+    """
+
+    name: str
+    levels: tuple[NDArray[Any], ...]
+    format: str
+    size: tuple[int, int]
+    seam: dict[str, Any]
+    extra: dict[str, Any] = field(default_factory=dict)
+
+
+class TextureStage:
+    """Everything that bakes and erasures of one character share."""
+
+    def __init__(self, character: Character, atlas: Atlas, poses: Floats, settings: Settings) -> None:
+        """Find the seams.
+
+        Parameters
+        ----------
+        character : Character
+        atlas : Atlas
+        poses : (P, J, 4, 4) float64
+            Skinning matrices of a few poses of the clips.
+        settings : Settings
+        """
+        self.character = character
+        self.atlas = atlas
+        self.mesh: SkinnedMesh = atlas.mesh
+        self.poses = poses
+        self.settings = settings
+        self.seams: Seams = find_seams(self.mesh.surface)
+        self.creases = find_creases(self.mesh, self.seams)
+        self._coverage: dict[tuple[int, int], Coverage] = {}
+        self._erasers: dict[tuple[Any, ...], Eraser] = {}
+
+    def cover(self, width: int, height: int) -> Coverage:
+        """The atlas rasterised at a size, once."""
+        size = (width, height)
+        if size not in self._coverage:
+            self._coverage[size] = cover_atlas(self.mesh, width, height)
+        return self._coverage[size]
+
+    def eraser(self, size: tuple[int, int], joined: NDArray[np.bool_] | None, at_vertices: bool) -> Eraser:
+        """The erasure of a size, a choice of seams, and with or without known values at the vertices, once."""
+        key = (size, None if joined is None else joined.tobytes(), at_vertices)
+        if key not in self._erasers:
+            weights = GLOBAL if self.settings.seams == "global" else LOCAL
+            options = EraseOptions(weights=weights, joined=joined, seam_weight=SEAM_WEIGHT)
+            uvs = self.mesh.surface.uvs if at_vertices else None
+            self._erasers[key] = plan_erasure(self.mesh.surface, self.seams, *size, options, sample_uvs=uvs)
+        return self._erasers[key]
+
+    def build(self) -> list[StoredTexture]:
+        """Every texture of the character."""
+        return [self.position(), self.weights(), self.normal(), *self.materials()]
+
+    def position(self) -> StoredTexture:
+        """Object-space positions in 32-bit float; right at the vertices of the full mesh."""
+        side = self.settings.geometry_size_px or choose_geometry_size(self.mesh)
+        size = (side, side)
+        values = vertex_values(self.mesh, self.mesh.surface.positions)
+        baked = bake_positions(self.mesh, size)
+        erased = self.eraser(size, None, True).erase(baked, sample_values=values).texels
+        return self._store("position", baked, erased, "float", None, mips=False)
+
+    def weights(self) -> StoredTexture:
+        """Joint weights, 8 bits each (16 with more than 256 joints), a partition of unity as stored."""
+        num_joints = self.character.skeleton.num_joints
+        side = self.settings.weight_size_px or choose_weight_size(self.mesh, self.poses)
+        size = (side, side)
+        baked = bake_weights(self.mesh, num_joints, size)
+        used = np.flatnonzero(baked.max(axis=(0, 1)) > 0)
+        values = vertex_values(self.mesh, self.mesh.dense_weights(num_joints)[:, used])
+        erased = np.zeros_like(baked)
+        erased[..., used] = self.eraser(size, None, True).erase(baked[..., used], sample_values=values).texels
+        packed = pack_weights(np.clip(erased, 0.0, None))
+        stored = unpack_weights(packed.stack, size, num_joints)
+        seam = self._seam(baked, erased, [stored], None)
+        extra = {"layout": "texel-joints", "slots": packed.slots}
+        return StoredTexture("weights", (packed.texels01,), packed.format, size, seam, extra)
+
+    def normal(self) -> StoredTexture:
+        """Object-space normals with the source's normal maps in them, 16 bits; hard edges stay."""
+        side = self.settings.color_size_px or self._normal_size()
+        tangents = None
+        if any(material.normal is not None for material in self.character.materials):
+            tangents = corner_tangents(self.mesh, self._normal_texcoord())
+        baked = bake_normals(self.character, self.mesh, tangents, self.cover(side, side))
+        joined = ~self.creases
+        erased = self.eraser((side, side), joined, False).erase(baked).texels
+        half = 0.5 * np.array([baked, erased]) + 0.5
+        return self._store("normal", half[0], half[1], "uint16", joined, mips=True)
+
+    def _normal_size(self) -> int:
+        maps = [material.normal for material in self.character.materials]
+        return max((max(ref.image.texels.shape[:2]) for ref in maps if ref is not None), default=512)
+
+    def _normal_texcoord(self) -> int:
+        return next(m.normal.texcoord for m in self.character.materials if m.normal is not None)
+
+    def materials(self) -> list[StoredTexture]:
+        """Base colour and, where the character has them, occlusion-roughness-metallic and emissive."""
+        baked = bake_materials(self.character, self.mesh, self.atlas.resampled, self.settings.color_size_px, self.cover)
+        return [self._material(texture) for texture in baked]
+
+    def _material(self, texture: BakedTexture) -> StoredTexture:
+        height, width = texture.texels.shape[:2]
+        joined = self._joined_colors(texture)
+        erased = self.eraser((width, height), joined, False).erase(texture.texels).texels
+        return self._store(texture.name, texture.texels, erased, texture.format, joined, mips=True)
+
+    def _joined_colors(self, texture: BakedTexture) -> NDArray[np.bool_] | None:
+        """Seams whose colours are joined: all, unless the sides differ by more than a painted border's threshold."""
+        if self.settings.keep_borders is None:
+            return None
+        jump = measure_seams(texture.texels, self.mesh.surface, self.seams).seam_rms.max(axis=1)
+        return jump <= self.settings.keep_borders
+
+    def _store(
+        self,
+        name: str,
+        baked: Floats,
+        erased: Floats,
+        stored_format: str,
+        joined: NDArray[np.bool_] | None,
+        mips: bool,
+    ) -> StoredTexture:
+        """Round a solution to its format so that the stored texels stay seamless."""
+        height, width = erased.shape[:2]
+        levels = [self._round(erased, (width, height), stored_format, joined)]
+        seam = self._seam(baked, erased, levels, joined)
+        return StoredTexture(name, tuple(levels), stored_format, (width, height), seam)
+
+    def _round(
+        self, erased: Floats, size: tuple[int, int], stored_format: str, joined: NDArray[np.bool_] | None
+    ) -> NDArray[Any]:
+        steps = STEPS.get(stored_format)
+        if steps is None:
+            return erased.astype(np.float32)
+        eraser = self.eraser(size, joined, False)
+        lengths = self.seams.lengths_m if joined is None else self.seams.lengths_m[joined]
+        return quantise(erased, build_strip(eraser.intervals, lengths), steps) / float(steps)
+
+    def _seam(
+        self, baked: Floats, erased: Floats, stored: list[NDArray[Any]], joined: NDArray[np.bool_] | None
+    ) -> dict[str, Any]:
+        """Jump across the joined seams before, after and as stored."""
+
+        def measure(texels: NDArray[Any]) -> dict[str, float]:
+            result = measure_seams(texels, self.mesh.surface, self.seams, joined=joined)
+            return {"rms": float(np.sqrt(result.total.sum())), "max": float(result.max.max(initial=0.0))}
+
+        seam: dict[str, Any] = {
+            "before": measure(baked),
+            "after": measure(erased),
+            "stored": [measure(level) for level in stored],
+        }
+        if joined is not None:
+            seam["left"] = int((~joined).sum())
+        return seam
+
+
+def find_creases(mesh: SkinnedMesh, seams: Seams) -> NDArray[np.bool_]:
+    """Seams along a hard edge of the source: the two sides' corner normals differ there on purpose, (S,) bool."""
+    worst = np.ones(len(seams.vertices))
+    for end in range(2):
+        sides = []
+        for side in range(2):
+            faces = seams.faces[:, side]
+            corner = (mesh.surface.faces[faces] == seams.vertices[:, end, None]).argmax(axis=1)
+            sides.append(mesh.corner_normals[faces, corner])
+        worst = np.minimum(worst, np.einsum("sc,sc->s", *sides))
+    return worst < np.cos(np.radians(CREASE_DEG))
