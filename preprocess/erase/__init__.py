@@ -3,12 +3,28 @@
 from preprocess.erase.eraser import (
     GLOBAL,
     LOCAL,
-    EraseOptions,
     Erased,
+    EraseOptions,
     Eraser,
     Weights,
     erase,
     plan_erasure,
 )
+from preprocess.erase.quantise import quantise
+from preprocess.erase.strip import SeamMeasure, SeamStrip, build_strip, measure_seams
 
-__all__ = ["GLOBAL", "LOCAL", "EraseOptions", "Erased", "Eraser", "Weights", "erase", "plan_erasure"]
+__all__ = [
+    "GLOBAL",
+    "LOCAL",
+    "EraseOptions",
+    "Erased",
+    "Eraser",
+    "SeamMeasure",
+    "SeamStrip",
+    "Weights",
+    "build_strip",
+    "erase",
+    "measure_seams",
+    "plan_erasure",
+    "quantise",
+]

@@ -2,9 +2,9 @@
 
 The change that erasure makes is free near seams and smooth away from them, so a quadtree carries it (Agarwala 2007,
 "Efficient gradient-domain compositing using quadtrees"). Cells of four texel centres are the finest squares. A square
-of side h is split as long as the silhouette passes within `MARGIN` squares of its size; hence neighbours differ by at
-most a factor of two in size. Inside a square the change is the bilinear blend of its corners; a corner that lies
-in the middle of a larger neighbour's side is not free but the mean of that side's ends.
+of side 2h is split as long as the silhouette passes within `reach` squares of half its side; with a reach of two or
+more, neighbours differ by at most a factor of two in size. Inside a square the change is the bilinear blend of its
+corners; a corner in the middle of a larger neighbour's side is not free but the mean of that side's ends.
 
 The mass and stiffness of a square (the sums of squares of the change, and of its differences along grid edges, over
 the texels it covers) have closed forms, and texels or grid edges on a common side count half for each square. So the
@@ -13,6 +13,7 @@ coarse system is exactly Sᵀ A S of the full grid's A, with S the interpolation
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,9 +27,8 @@ from preprocess.mesh import Floats
 # Rows of cell keys are this far apart.
 STRIDE = 1 << 32
 
-# A square is split while the silhouette is nearer than this many squares of its size. Measured on blub at 2048²
-# against the full grid, the largest difference away from seams is under a tenth of an 8-bit step.
-MARGIN = 2
+# Texels that a change is spread to at a time.
+BATCH = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Grid:
     ----------
     nodes : (N,) int64
         Flat texel index of every node, sorted.
-    interpolation : (N, U) sparse
+    interpolation : (N, U) sparse array
         Node values from the free ones; the identity except at hanging nodes.
     texel_mass : (N,) float64
         How much of each node's texel the finest cells account for, 0 to 1 (squares account for the rest).
@@ -58,7 +58,7 @@ class Grid:
     """
 
     nodes: NDArray[np.int64]
-    interpolation: sparse.csr_matrix
+    interpolation: sparse.csr_array
     texel_mass: Floats
     edge_nodes: NDArray[np.int64]
     edge_mass: Floats
@@ -79,9 +79,9 @@ def _keys(x: NDArray[np.int64], y: NDArray[np.int64]) -> NDArray[np.int64]:
     return y * STRIDE + x
 
 
-def _spread(keys: NDArray[np.int64], columns: int, rows: int, repeat: bool) -> NDArray[np.int64]:
-    """Cells within `MARGIN` of the given ones (chessboard distance) on a grid of columns x rows, sorted."""
-    offsets = np.arange(-MARGIN, MARGIN + 1)
+def _spread(keys: NDArray[np.int64], reach: int, columns: int, rows: int, repeat: bool) -> NDArray[np.int64]:
+    """Cells within `reach` of the given ones (chessboard distance) on a grid of columns x rows, sorted."""
+    offsets = np.arange(-reach, reach + 1)
     y, x = np.divmod(keys, STRIDE)
     x = (x + offsets[:, None]).ravel()
     y = np.tile(y, len(offsets))
@@ -93,20 +93,25 @@ def _spread(keys: NDArray[np.int64], columns: int, rows: int, repeat: bool) -> N
     return np.unique(_keys(x[kept], y[kept] % rows))
 
 
-def _split_squares(region: Region) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def _split_squares(
+    region: Region, fine_reach: int, reach: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Keys of the finest cells; top left texels, as keys, of the other squares; and the sides of those."""
     width, height = region.width, region.height
     columns, rows = (width, height) if region.repeat else (max(width - 1, 1), max(height - 1, 1))
     seed_y, seed_x = np.divmod(region.cells, width)
-    finest = inner = _spread(_keys(seed_x, seed_y), columns, rows, region.repeat)
+    seeds = _keys(seed_x, seed_y)
+    finest = inner = _spread(seeds, 1, columns, rows, region.repeat)
     corners, sides = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
     level = 0
     while len(inner) and (1 << level) < max(width, height):
         # Squares of twice the side that must be split; those of their quarters that need not be are leaves.
         side = 1 << level
+        grown = _spread(seeds, fine_reach if level == 0 else reach, -(-columns >> level), -(-rows >> level), False)
+        y, x = np.divmod(grown, STRIDE)
+        split = np.unique(_keys(x >> 1, y >> 1))
+        seeds = np.unique(_keys(seed_x >> (level + 1), seed_y >> (level + 1)))
         level += 1
-        seeds = np.unique(_keys(seed_x >> level, seed_y >> level))
-        split = _spread(seeds, -(-columns >> level), -(-rows >> level), False)
         y, x = np.divmod(split, STRIDE)
         quarters = np.concatenate([_keys(2 * x + dx, 2 * y + dy) for dy in (0, 1) for dx in (0, 1)])
         y, x = np.divmod(np.setdiff1d(quarters, inner, assume_unique=True), STRIDE)
@@ -183,7 +188,7 @@ def _find_hanging(nodes: NDArray[np.int64], squares: NDArray[np.int64], sides: N
     return hanging, side_ends[hit][first]
 
 
-def _interpolate_hanging(num_nodes: int, hanging: NDArray[np.int64], ends: NDArray[np.int64]) -> sparse.csr_matrix:
+def _interpolate_hanging(num_nodes: int, hanging: NDArray[np.int64], ends: NDArray[np.int64]) -> sparse.csr_array:
     """Matrix from free unknowns to all nodes, (N, U)."""
     free = np.ones(num_nodes, np.bool_)
     free[hanging] = False
@@ -191,21 +196,25 @@ def _interpolate_hanging(num_nodes: int, hanging: NDArray[np.int64], ends: NDArr
     rows = np.concatenate([kept, np.repeat(hanging, 2)])
     columns = np.concatenate([kept, ends.ravel()])
     values = np.concatenate([np.ones(len(kept)), np.full(2 * len(hanging), 0.5)])
-    blend = sparse.csr_matrix((values, (rows, columns)), shape=(num_nodes, num_nodes))
+    blend = sparse.csr_array((values, (rows, columns)), shape=(num_nodes, num_nodes))
     # The ends of a large square's side may hang on a larger one's: apply the blend until only free nodes are left.
     matrix = blend
     while len(hanging) and np.isin(matrix.indices, hanging).any():
         matrix = matrix @ blend
         matrix.sum_duplicates()
-    return sparse.csr_matrix(matrix[:, kept])
+    return sparse.csr_array(matrix[:, kept])
 
 
-def build_grid(region: Region) -> Grid:
+def build_grid(region: Region, *, fine_reach: int = 4, reach: int = 3) -> Grid:
     """Lay the quadtree over a region.
 
     Parameters
     ----------
     region : Region
+    fine_reach : int
+        Distance from the silhouette, texels, within which there are only cells. At least 2.
+    reach : int
+        Distance, in squares, within which larger squares are split. At least 2.
 
     Returns
     -------
@@ -213,7 +222,7 @@ def build_grid(region: Region) -> Grid:
         Empty where the region has no silhouette.
     """
     width, height = region.width, region.height
-    finest, corners, sides = _split_squares(region)
+    finest, corners, sides = _split_squares(region, fine_reach, reach)
     texels, texel_mass, edges, edge_mass = _find_fine_parts(region, finest)
     y, x = np.divmod(corners, STRIDE)
     square_texels = np.stack([(y + b * sides) * width + x + a * sides for b in (0, 1) for a in (0, 1)], axis=1)
@@ -237,49 +246,48 @@ def build_grid(region: Region) -> Grid:
 
 
 @njit(cache=True)
-def _fill_squares(squares, sides, nodes, width, change, threshold, texels):
-    """Add each square's bilinear change to the texels it covers, its right and lower sides excepted."""
+def _fill_squares(squares, sides, corners, width, change, texels, delta):
+    """Write every covered texel's index and bilinear change, square by square, right and lower sides excepted."""
     channels = change.shape[1]
+    n = 0
     for q in range(squares.shape[0]):
-        largest = 0.0
-        for k in range(4):
-            for c in range(channels):
-                largest = max(largest, abs(change[squares[q, k], c]))
-        if largest <= threshold:
-            continue
-        origin, side = nodes[squares[q, 0]], sides[q]
+        side = sides[q]
         for dy in range(side):
             fy = dy / side
             for dx in range(side):
                 fx = dx / side
-                at = origin + dy * width + dx
+                texels[n] = corners[q] + dy * width + dx
                 for c in range(channels):
                     top = (1.0 - fx) * change[squares[q, 0], c] + fx * change[squares[q, 1], c]
                     low = (1.0 - fx) * change[squares[q, 2], c] + fx * change[squares[q, 3], c]
-                    texels[at, c] += (1.0 - fy) * top + fy * low
+                    delta[n, c] = (1.0 - fy) * top + fy * low
+                n += 1
 
 
-def apply_change(grid: Grid, texels: Floats, free_change: Floats, *, negligible: float = 0.0) -> Floats:
-    """Add the change to an image.
+def spread_change(grid: Grid, node_change: Floats, negligible: float) -> Iterator[tuple[NDArray[np.int64], Floats]]:
+    """Interpolate the change over the squares, a batch of texels at a time.
 
     Parameters
     ----------
     grid : Grid
-    texels : (H, W, C) float64
-    free_change : (U, C) float64
+    node_change : (N, C) float64
     negligible : float
-        Squares whose corners change by no more than this stay as they are.
+        Squares whose corners all change by no more than this are left out.
 
-    Returns
-    -------
-    (H, W, C) float64
-        A new array.
+    Yields
+    ------
+    texels : (M,) int64
+        Flat indices; nodes occur among them too, with the same change.
+    change : (M, C) float64
     """
-    width = grid.size_px[0]
-    changed = np.array(texels, np.float64, order="C", copy=True)
-    flat = changed.reshape(-1, texels.shape[2])
-    change = grid.interpolation @ free_change
-    values = flat[grid.nodes] + change
-    _fill_squares(grid.squares, grid.square_sides, grid.nodes, width, change, negligible, flat)
-    flat[grid.nodes] = values
-    return changed
+    moves = np.abs(node_change).max(axis=1, initial=0.0) > negligible
+    active = np.flatnonzero(moves[grid.squares].any(axis=1) & (grid.square_sides > 1))
+    area = grid.square_sides[active] ** 2
+    batch = np.cumsum(area) // BATCH
+    for part in np.split(active, np.flatnonzero(np.diff(batch)) + 1):
+        sides = grid.square_sides[part]
+        num = int((sides**2).sum())
+        texels, change = np.empty(num, np.int64), np.empty((num, node_change.shape[1]))
+        squares = grid.squares[part]
+        _fill_squares(squares, sides, grid.nodes[squares[:, 0]], grid.size_px[0], node_change, texels, change)
+        yield texels, change

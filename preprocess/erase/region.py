@@ -103,10 +103,14 @@ def find_inside(surface: TexturedSurface, width: int, height: int, *, repeat: bo
     return inside
 
 
+def silhouette_ends(seams: Seams) -> NDArray[np.int32]:
+    """Texture vertices at the ends of all silhouette and foldover edges, (E, 2): seam sides, boundaries, foldovers."""
+    return np.concatenate([seams.uv_pairs.reshape(-1, 2), seams.boundary_uvs, seams.foldover_uvs])
+
+
 def silhouette_lines(surface: TexturedSurface, seams: Seams) -> Floats:
-    """All silhouette and foldover edges as lone uv lines, (E, 1, 2, 2) float64: seam sides, boundaries, foldovers."""
-    ends = np.concatenate([seams.uv_pairs.reshape(-1, 2), seams.boundary_uvs, seams.foldover_uvs])
-    return surface.uvs[ends][:, None]
+    """All silhouette and foldover edges as lone uv lines, (E, 1, 2, 2) float64."""
+    return surface.uvs[silhouette_ends(seams)][:, None]
 
 
 def _border_cells(inside: NDArray[np.bool_], repeat: bool) -> NDArray[np.int64]:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import linalg
 
@@ -51,12 +52,12 @@ class Factor:
     """
 
     lu: Any
-    matrix: sparse.csc_matrix
-    jump: sparse.csr_matrix
+    matrix: sparse.csc_array
+    jump: sparse.csr_array
     penalty: float
 
 
-def _square_elements(sides: Floats, mass: float, stiffness: float) -> Floats:
+def _square_elements(sides: NDArray[np.int64], mass: float, stiffness: float) -> Floats:
     """Energy matrices of squares of the given sides, (Q, 4, 4).
 
     One axis of a square of side h has h + 1 texels, the two outer ones counting half, and h grid edges. With hat
@@ -73,7 +74,7 @@ def _square_elements(sides: Floats, mass: float, stiffness: float) -> Floats:
     return mass * product(m, m) + stiffness * (product(k, m) + product(m, k))
 
 
-def grid_matrix(grid: Grid, change_weight: float, inside_weight: float, outside_weight: float) -> sparse.csr_matrix:
+def grid_matrix(grid: Grid, change_weight: float, inside_weight: float, outside_weight: float) -> sparse.csr_array:
     """Matrix of the change and gradient energies over all nodes, (N, N).
 
     Parameters
@@ -94,7 +95,7 @@ def grid_matrix(grid: Grid, change_weight: float, inside_weight: float, outside_
     rows = np.concatenate([diagonal, first, second, first, second, np.repeat(grid.squares, 4, axis=1).ravel()])
     columns = np.concatenate([diagonal, first, second, second, first, np.tile(grid.squares, (1, 4)).ravel()])
     values = np.concatenate([mass, weight, weight, -weight, -weight, elements.ravel()])
-    return sparse.csr_matrix(sparse.coo_matrix((values, (rows, columns)), shape=(num, num)))
+    return sparse.csr_array(sparse.coo_array((values, (rows, columns)), shape=(num, num)))
 
 
 def outside_force(grid: Grid, node_values: Floats, outside_weight: float) -> Floats:
@@ -108,11 +109,11 @@ def outside_force(grid: Grid, node_values: Floats, outside_weight: float) -> Flo
     ones = np.ones(len(first))
     edges = np.arange(len(first))
     shape = (num, len(first))
-    scatter = sparse.csr_matrix((ones, (first, edges)), shape) - sparse.csr_matrix((ones, (second, edges)), shape)
+    scatter = sparse.csr_array((ones, (first, edges)), shape) - sparse.csr_array((ones, (second, edges)), shape)
     return np.asarray(scatter @ pull)
 
 
-def factorise(matrix: sparse.csr_matrix, jump: sparse.csr_matrix, penalty: float) -> Factor:
+def factorise(matrix: sparse.csr_array, jump: sparse.csr_array, penalty: float) -> Factor:
     """Factor A + ρ JᵀJ once for all channels and repetitions.
 
     Parameters
@@ -124,10 +125,17 @@ def factorise(matrix: sparse.csr_matrix, jump: sparse.csr_matrix, penalty: float
     penalty : float
         ρ.
     """
-    full = sparse.csc_matrix(matrix + penalty * (jump.T @ jump))
+    full = sparse.csc_array(matrix + penalty * (jump.T @ jump))
     with warnings.catch_warnings():
         warnings.simplefilter("error", linalg.MatrixRankWarning)
-        lu = linalg.splu(full, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        lu = linalg.splu(
+            full,
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            relax=4,
+            panel_size=1,
+            options={"SymmetricMode": True},
+        )
     return Factor(lu, full, jump, penalty)
 
 

@@ -38,13 +38,19 @@ def _shares(intervals: Intervals, lengths_m: Floats, weights: Floats) -> Floats:
     return np.sqrt(weights * share[intervals.edges][:, None])
 
 
-def _to_rows(texels: NDArray[np.int64], values: Floats, num_texels: int) -> sparse.csr_array:
-    """Matrix with the rows `values` (I, Q, K) at texels (I, K)."""
+def to_rows(texels: NDArray[np.int64], values: Floats, num_texels: int) -> sparse.csr_array:
+    """Sparse matrix with rows `values` (I, Q, K) at the texels (I, K) of each interval: (I Q, num_texels)."""
     num_intervals, num_points, width = values.shape
     columns = np.broadcast_to(texels[:, None], values.shape).reshape(-1)
     starts = np.arange(num_intervals * num_points + 1, dtype=np.int64) * width
     shape = (num_intervals * num_points, num_texels)
     return sparse.csr_array((values.reshape(-1), columns, starts), shape=shape)
+
+
+def jump_weights(intervals: Intervals, gamma: Floats) -> Floats:
+    """Weights of the eight texels in the jump, side 0 less side 1, at parameters (I, Q): (I, Q, 8)."""
+    blend = _blend_weights(intervals.fractions(gamma))
+    return np.concatenate([blend[:, :, 0], -blend[:, :, 1]], axis=2)
 
 
 def jump_rows(intervals: Intervals, lengths_m: Floats) -> sparse.csr_array:
@@ -66,11 +72,9 @@ def jump_rows(intervals: Intervals, lengths_m: Floats) -> sparse.csr_array:
     Liu, Ferguson, Jacobson, Gingold 2017, equation 2.
     """
     gamma, weights = intervals.gauss(3)
-    blend = _blend_weights(intervals.fractions(gamma))  # (I, Q, 2, 4)
-    jump = np.concatenate([blend[:, :, 0], -blend[:, :, 1]], axis=2)
-    jump *= _shares(intervals, lengths_m, weights)[:, :, None]
+    jump = jump_weights(intervals, gamma) * _shares(intervals, lengths_m, weights)[:, :, None]
     width, height = intervals.size_px
-    return _to_rows(intervals.texels.reshape(-1, 8), jump, width * height)
+    return to_rows(intervals.texels.reshape(-1, 8), jump, width * height)
 
 
 def value_rows(intervals: Intervals, lengths_m: Floats) -> tuple[sparse.csr_array, Floats]:
@@ -86,7 +90,7 @@ def value_rows(intervals: Intervals, lengths_m: Floats) -> tuple[sparse.csr_arra
     scale = _shares(intervals, lengths_m, weights)
     blend = _blend_weights(intervals.fractions(gamma)[:, :, 0]) * scale[:, :, None]
     width, height = intervals.size_px
-    return _to_rows(intervals.texels[:, 0], blend, width * height), scale
+    return to_rows(intervals.texels[:, 0], blend, width * height), scale
 
 
 def lerp_targets(intervals: Intervals, scale: Floats, end_values: Floats) -> Floats:
@@ -159,10 +163,10 @@ def slope_rows(intervals: Intervals, lengths_m: Floats, normals: Floats) -> spar
     )  # (I, Q, 2, 4)
     slope = slope.reshape(len(intervals), -1, 8) * _shares(intervals, lengths_m, weights)[:, :, None]
     width, height = intervals.size_px
-    return _to_rows(intervals.texels.reshape(-1, 8), slope, width * height)
+    return to_rows(intervals.texels.reshape(-1, 8), slope, width * height)
 
 
 def sample_rows(uvs: Floats, width: int, height: int) -> sparse.csr_array:
     """Rows R with R p the bilinear samples at uv points (N, 2), scaled so that |R p - t|² is a mean."""
     texels, weights = bilinear_stencil(uvs, width, height)
-    return _to_rows(texels, (weights / np.sqrt(max(len(uvs), 1)))[:, None], width * height)
+    return to_rows(texels, (weights / np.sqrt(max(len(uvs), 1)))[:, None], width * height)
