@@ -110,7 +110,7 @@ def _stack_parts(parts: tuple[Part, ...], material_index: dict[int | None, int])
 
 
 def _remove_duplicates(
-    soup: Soup, welded: Welded, materials: tuple[Material, ...], diagonal_m: float, warnings: list[str]
+    soup: Soup, welded: Welded, materials: tuple[Material, ...], diagonal_m: float, where: str, warnings: list[str]
 ) -> tuple[Soup, tuple[Material, ...]]:
     """The soup without faces that have no area or are drawn twice; a material more for fronts that lost their back."""
     positions = soup.positions[welded.vertex_firsts]
@@ -118,7 +118,7 @@ def _remove_duplicates(
     if not solid.all():
         warnings.append(f"{int((~solid).sum())} triangles without area removed")
     if not solid.any():
-        raise InputError("the mesh has no triangle with an area: export the file again")
+        raise InputError(f"{where} has no triangle with an area: export the file again")
     faces, face_materials = soup.faces[solid], soup.face_materials[solid]
     face_parts = soup.face_parts[solid]
     is_double_sided = np.array([material.double_sided for material in materials])
@@ -208,7 +208,11 @@ def _build_mesh(soup: Soup, welded: Welded, manifold: Manifold, warnings: list[s
 
 
 def unify(
-    scene: Scene, materials: tuple[Material, ...], material_index: dict[int | None, int], warnings: list[str]
+    scene: Scene,
+    materials: tuple[Material, ...],
+    material_index: dict[int | None, int],
+    where: str,
+    warnings: list[str],
 ) -> tuple[SkinnedMesh, tuple[Material, ...]]:
     """Weld the parts of a scene into one mesh.
 
@@ -218,6 +222,8 @@ def unify(
     materials : tuple of Material
     material_index : dict
         From a material index of the file (or None) into `materials`.
+    where : str
+        How messages name the file.
     warnings : list of str
         What is changed is added to it.
 
@@ -238,7 +244,7 @@ def unify(
         len(welded.vertex_firsts),
         welded.num_apart,
     )
-    soup, materials = _remove_duplicates(soup, welded, materials, diagonal_m, warnings)
+    soup, materials = _remove_duplicates(soup, welded, materials, diagonal_m, where, warnings)
     manifold = make_manifold(
         welded.vertex_of[soup.faces],
         soup.positions[welded.vertex_firsts],
@@ -278,7 +284,9 @@ def _load(document: Document) -> Character:
     num_texcoords = max(part.source.texcoords.shape[1] for part in scene.parts)
     materials, notes = read_materials(document, used, num_texcoords)
     warnings += notes
-    mesh, materials = unify(scene, materials, {index: at for at, index in enumerate(used)}, warnings)
+    mesh, materials = unify(
+        scene, materials, {index: at for at, index in enumerate(used)}, document.path.name, warnings
+    )
     mesh.validate()
     skeleton = read_skeleton(document, scene.joint_nodes.tolist(), scene.inverse_bind)
     return Character(

@@ -214,16 +214,15 @@ def _place(instance: _Instance, placement: Floats, joints: NDArray[np.int64], we
         tangents=tangents,
         joints=joints,
         weights=weights,
-        faces=primitive.faces[:, ::-1] if mirrored else primitive.faces,
+        faces=primitive.faces[:, [0, 2, 1]] if mirrored else primitive.faces,
     )
 
 
 class _Binder:
     """Places skins and rigid parts and collects the joint list."""
 
-    def __init__(self, document: Document, size_m: float) -> None:
-        self.document = document
-        self.size_m = size_m
+    def __init__(self, document: Document) -> None:
+        self.size_m = 1.0
         num_nodes = len(document.items("nodes"))
         tree = read_skeleton(document, list(range(num_nodes)), np.tile(np.eye(4), (num_nodes, 1, 1)))
         shown = dataclasses.replace(tree, scale=np.where(np.abs(tree.scale) < ZERO_SCALE, 1.0, tree.scale))
@@ -278,11 +277,11 @@ def read_scene(document: Document) -> Scene:
         If a mesh, skin or node is malformed.
     """
     warnings: list[str] = []
+    binder = _Binder(document)  # first: it refuses a tree with a cycle
     instances = _read_instances(document, warnings)
     if not instances:
         raise InputError(f"{document.path.name} has no mesh with triangles in its default scene: nothing to build")
-    largest = max(float(np.abs(instance.primitive.positions).max()) for instance in instances)
-    binder = _Binder(document, largest)
+    binder.size_m = max(float(np.nanmax(np.abs(instance.primitive.positions))) for instance in instances)
 
     skinned: dict[int, list[tuple[_Instance, NDArray[np.int64], Floats]]] = {}
     skins: dict[int, _Skin] = {}
