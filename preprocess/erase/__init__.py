@@ -10,6 +10,7 @@ from preprocess.erase.eraser import (
     erase,
     plan_erasure,
 )
+from preprocess.erase.mips import Level, erase_mips
 from preprocess.erase.quantise import quantise
 from preprocess.erase.strip import SeamMeasure, SeamStrip, build_strip, measure_seams
 
@@ -19,11 +20,13 @@ __all__ = [
     "EraseOptions",
     "Erased",
     "Eraser",
+    "Level",
     "SeamMeasure",
     "SeamStrip",
     "Weights",
     "build_strip",
     "erase",
+    "erase_mips",
     "measure_seams",
     "plan_erasure",
     "quantise",

@@ -43,6 +43,16 @@ class Region:
     repeat: bool
 
     @property
+    def used(self) -> NDArray[np.bool_]:
+        """Inside texels and those of silhouette cells, (H, W) bool."""
+        used = self.inside.copy()
+        y, x = np.divmod(self.cells, self.width)
+        for dy in (0, 1):
+            for dx in (0, 1):
+                used[(y + dy) % self.height, (x + dx) % self.width] = True
+        return used
+
+    @property
     def width(self) -> int:
         """Columns of the image."""
         return self.inside.shape[1]

@@ -1,0 +1,162 @@
+"""Mip chains whose every level is seamless (method, section 3).
+
+Box filtering alone mixes charts with their neighbours and with the background, and half the resolution moves every
+texel relative to the seam. Here a level is the box filter of the one above over its used texels alone, in linear light
+where the values are sRGB, and then erased at its own resolution. Trilinear samples between two seamless levels are
+seamless.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from preprocess.erase.eraser import EraseOptions, Eraser, plan_erasure
+from preprocess.erase.quantise import quantise
+from preprocess.erase.strip import SeamMeasure
+from preprocess.mesh import Floats, TexturedSurface
+from preprocess.seams import Seams
+
+
+@dataclass(frozen=True)
+class Level:
+    """One level of a seamless mip chain.
+
+    Attributes
+    ----------
+    texels : (H, W, C)
+        uint8 or uint16 where integers were asked for, else float64.
+    before, after, stored : SeamMeasure
+        Jump of the box-filtered level, of the solution, and of `texels` (integers as values in [0, 1]).
+    """
+
+    texels: NDArray[Any]
+    before: SeamMeasure
+    after: SeamMeasure
+    stored: SeamMeasure
+
+
+def srgb_to_linear(values: Floats) -> Floats:
+    """Light from sRGB values (IEC 61966-2-1), odd about zero, so that values out of range survive."""
+    size = np.abs(values)
+    return np.sign(values) * np.where(size <= 0.04045, size / 12.92, ((size + 0.055) / 1.055) ** 2.4)
+
+
+def linear_to_srgb(light: Floats) -> Floats:
+    """Inverse of `srgb_to_linear`."""
+    size = np.abs(light)
+    return np.sign(light) * np.where(size <= 0.0031308, size * 12.92, 1.055 * size ** (1 / 2.4) - 0.055)
+
+
+def mip_sizes(width: int, height: int, smallest: int = 1) -> list[tuple[int, int]]:
+    """Widths and heights of a chain, the full size first: halved, rounded down, until both are `smallest` or less."""
+    sizes = [(width, height)]
+    while max(sizes[-1]) > smallest and max(sizes[-1]) > 1:
+        w, h = sizes[-1]
+        sizes.append((max(w // 2, 1), max(h // 2, 1)))
+    return sizes
+
+
+def _box_weights(size: int, new_size: int) -> sparse.csr_array:
+    """Overlap of each new texel with the old ones, rows sum to one: (new_size, size)."""
+    scale = size / new_size
+    taps = int(np.ceil(scale)) + 1
+    start = np.arange(new_size) * scale
+    columns = np.floor(start).astype(np.int64)[:, None] + np.arange(taps)
+    overlap = np.minimum(columns + 1, (start + scale)[:, None]) - np.maximum(columns, start[:, None])
+    kept = (overlap > 1e-9) & (columns < size)
+    rows = np.broadcast_to(np.arange(new_size)[:, None], columns.shape)
+    return sparse.csr_array((overlap[kept] / scale, (rows[kept], columns[kept])), shape=(new_size, size))
+
+
+def shrink(texels: Floats, used: NDArray[np.bool_], width: int, height: int) -> Floats:
+    """Box-filter an image over its used texels.
+
+    Parameters
+    ----------
+    texels : (H, W, C) float64
+    used : (H, W) bool
+        Texels that count. Where a new texel covers none, all that it covers count.
+    width, height : int
+        New size.
+
+    Returns
+    -------
+    (height, width, C) float64
+    """
+    old_height, old_width, channels = texels.shape
+    down, across = _box_weights(old_height, height), _box_weights(old_width, width)
+
+    def average(image: Floats) -> Floats:
+        rows = (down @ image.reshape(old_height, -1)).reshape(height, old_width, -1)
+        turned = np.ascontiguousarray(rows.transpose(1, 0, 2)).reshape(old_width, -1)
+        return (across @ turned).reshape(width, height, -1).transpose(1, 0, 2)
+
+    share = average(used[:, :, None].astype(np.float64))
+    masked = average(texels * used[:, :, None])
+    plain = average(texels) if (share <= 0).any() else masked
+    assert channels == texels.shape[2]
+    return np.where(share > 0, masked / np.where(share > 0, share, 1.0), plain)
+
+
+def erase_mips(
+    texels: Floats,
+    surface: TexturedSurface,
+    seams: Seams,
+    options: EraseOptions = EraseOptions(),
+    *,
+    levels: int = 0,
+    srgb_channels: int = 0,
+    smallest: int = 1,
+    plans: dict[tuple[int, int], Eraser] | None = None,
+) -> tuple[Level, ...]:
+    """Erase a texture and build its mip chain.
+
+    Parameters
+    ----------
+    texels : (H, W, C) float
+        The source texture, in [0, 1] where integers are asked for.
+    surface : TexturedSurface
+    seams : Seams
+    options : EraseOptions
+    levels : int
+        Largest integer to store, 255 or 65535; 0 for float texels.
+    srgb_channels : int
+        How many of the first channels hold sRGB values; these are averaged in linear light.
+    smallest : int
+        The chain ends at the first level that is no larger than this on both axes.
+    plans : dict, optional
+        Erasers by (width, height) for the same surface, seams and options: used where there is one, and filled, so
+        that several textures share them.
+
+    Returns
+    -------
+    tuple of Level
+        The full size first.
+    """
+    plans = {} if plans is None else plans
+    height, width, _ = texels.shape
+    chain: list[Level] = []
+    current = np.asarray(texels, np.float64)
+    used: NDArray[np.bool_] | None = None
+    for w, h in mip_sizes(width, height, smallest):
+        if used is not None:
+            light = current.copy()
+            light[:, :, :srgb_channels] = srgb_to_linear(light[:, :, :srgb_channels])
+            current = shrink(light, used, w, h)
+            current[:, :, :srgb_channels] = linear_to_srgb(current[:, :, :srgb_channels])
+        if (w, h) not in plans:
+            plans[w, h] = plan_erasure(surface, seams, w, h, options)
+        plan = plans[w, h]
+        erased = plan.erase(current)
+        result = quantise(erased.texels, plan.strip, levels) if levels else erased.texels
+        after = plan.measure(erased.texels)
+        stored = plan.measure(result / float(levels)) if levels else after
+        chain.append(Level(result, plan.measure(current), after, stored))
+        current = np.clip(erased.texels, 0, 1) if levels else erased.texels
+        used = plan.region.used
+    return tuple(chain)
