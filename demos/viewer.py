@@ -1,0 +1,216 @@
+"""Looks at a built character: a window with an orbit camera, or one picture with --headless.
+
+    python -m demos.viewer human.seamless
+    python -m demos.viewer human.seamless --headless --out walk.png --clip walk --time 0.4
+
+In the window: drag turns, the right button (or Shift) moves, the wheel goes nearer; Space pauses, Left and Right change
+the clip, 1 to 9 the view, L the level of detail, T tessellation, F frames the character, Esc closes.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from demos.errors import DemoError
+from demos.headless import Canvas, create_context, write_png
+from demos.options import VIEW_NAMES, Options, Parser, add_arguments, parse, run
+from demos.orbit import Orbit
+from demos.stage import Stage
+from runtime.actor import Actor
+from runtime.asset import load
+from runtime.camera import Camera, framing
+from runtime.gpu_asset import Model
+from runtime.renderer import Renderer
+from runtime.views import VIEWS
+
+BUILT_IN = Path("out/demo/creature.seamless")
+
+
+def find_folder(options: Options) -> Path:
+    """The folder that was named, or the built-in character's.
+
+    Raises
+    ------
+    DemoError
+        If none was named and the built-in one is not built yet.
+    """
+    if options.folder is not None:
+        return options.folder
+    found = BUILT_IN if BUILT_IN.is_dir() else next(iter(sorted(BUILT_IN.parent.glob("*.seamless"))), None)
+    if found is None:
+        raise DemoError("no built-in character yet: run ./run demo, or name the folder of a built character")
+    return found
+
+
+def make_actor(model: Model, options: Options) -> Actor:
+    """An actor at the moment of the clip that was asked for.
+
+    Raises
+    ------
+    DemoError
+        If the character has no such clip.
+    """
+    if options.clip is None:
+        return model.actor()
+    try:
+        return model.actor(clip=options.clip, time_s=options.time_s)
+    except (ValueError, IndexError):
+        names = ", ".join(f"{index} {clip.name}" for index, clip in enumerate(model.asset.clips)) or "none"
+        raise DemoError(f"{model.asset.name} has no clip {options.clip!r}; it has: {names}") from None
+
+
+def choose_camera(model: Model, options: Options) -> Camera:
+    """The camera that was asked for; what was left open frames the character."""
+    box = model.asset.manifest.bind_bounds
+    if options.clip is not None and options.eye is None:
+        boxes = model.asset.manifest.clip_bounds
+        name = options.clip if isinstance(options.clip, str) else model.asset.clips[options.clip].name
+        if name in boxes:  # a clip's box covers all of it: loose, so it counts half
+            box = (np.asarray(boxes[name]) + box) / 2
+    automatic = framing(box, options.size[0] / options.size[1], options.fovy_deg)
+    target = options.target or automatic.target
+    eye = options.eye
+    if eye is None:
+        eye = tuple(np.asarray(automatic.eye) - automatic.target + target)
+    return Camera(eye, target, fovy_deg=options.fovy_deg)  # type: ignore[arg-type]
+
+
+def draw_picture(options: Options) -> None:
+    """One picture to a file."""
+    asset = load(find_folder(options))
+    ctx = create_context()
+    try:
+        model, renderer = Model(ctx, asset), Renderer(ctx)
+        actor = make_actor(model, options)
+        camera = choose_camera(model, options)
+        smooth = VIEWS[options.view].is_lit
+        canvas = Canvas(ctx, options.size, smooth)
+        with canvas.drawing():
+            if smooth and options.backdrop:
+                stage = Stage(ctx)
+                stage.draw(canvas.framebuffer, renderer, [actor], camera, asset.manifest.bind_bounds)
+            renderer.draw([actor], camera, view=options.view, lod=options.lod, tessellation=options.tessellation)
+        assert options.out is not None
+        write_png(options.out, canvas.pixels())
+    finally:
+        ctx.release()
+
+
+class Viewer:
+    """The window's contents and what its keys do."""
+
+    def __init__(self, window: Any, options: Options) -> None:
+        self.model = Model(window.ctx, load(find_folder(options)))
+        self.renderer = Renderer(window.ctx)
+        self.stage = Stage(window.ctx)
+        self.window = window
+        self.options = options
+        self.actor = make_actor(self.model, options)
+        self.clip = -1
+        if options.clip is None and self.model.asset.clips:
+            self.play(0)
+        self.orbit = Orbit(choose_camera(self.model, options))
+        self.view, self.lod, self.tessellation = options.view, options.lod, options.tessellation
+        self.paused = False
+
+    def play(self, clip: int) -> None:
+        """Fade to a clip by its number, around the ends of the list."""
+        clips = self.model.asset.clips
+        if clips:
+            self.clip = clip % len(clips)
+            self.actor.play(self.clip, fade_s=0.25)
+
+    def key(self, name: str) -> None:
+        """Do what a key stands for."""
+        levels: list[str | int] = ["auto", *range(len(self.model.lods))]
+        if name == "space":
+            self.paused = not self.paused
+        elif name in ("left", "right"):
+            self.play(self.clip + (1 if name == "right" else -1))
+        elif name.isdigit() and 1 <= int(name) <= len(VIEW_NAMES):
+            self.view = VIEW_NAMES[int(name) - 1]
+        elif name == "l":
+            self.lod = levels[(levels.index(self.lod) + 1) % len(levels)] if self.lod in levels else "auto"
+        elif name == "t":
+            steps: list[str | float] = ["auto", "off", 4.0]
+            self.tessellation = (
+                steps[(steps.index(self.tessellation) + 1) % 3] if self.tessellation in steps else "auto"
+            )
+        elif name == "f":
+            self.orbit = Orbit(choose_camera(self.model, self.options))
+
+    def drag(self, dx_px: float, dy_px: float, move: bool) -> None:
+        """Turn the camera, or move it."""
+        if move:
+            self.orbit.move(dx_px, dy_px, self.window.size[1])
+        else:
+            self.orbit.turn(dx_px, dy_px)
+
+    def scroll(self, steps: float) -> None:
+        """Come nearer or go away."""
+        self.orbit.zoom(steps)
+
+    def frame(self, dt_s: float) -> None:
+        """Draw one picture into the window."""
+        if not self.paused:
+            self.actor.update(dt_s)
+        framebuffer = self.window.framebuffer
+        framebuffer.use()
+        framebuffer.clear(0.0, 0.0, 0.0, 1.0, depth=1.0)
+        camera = self.orbit.camera()
+        if VIEWS[self.view].is_lit and self.options.backdrop:
+            self.stage.draw(framebuffer, self.renderer, [self.actor], camera, self.model.asset.manifest.bind_bounds)
+        self.renderer.draw([self.actor], camera, view=self.view, lod=self.lod, tessellation=self.tessellation)
+
+    @property
+    def title(self) -> str:
+        """What the window's title says."""
+        drawn = self.renderer.last_drawn.get(self.actor)
+        level = "-" if drawn is None or drawn.level < 0 else drawn.level
+        return f"{self.model.asset.name} - {self.actor.clip or 'at rest'} - {self.view} - level {level}"
+
+    def release(self) -> None:
+        """Free everything on the GPU."""
+        self.stage.release()
+        self.renderer.release()
+        self.model.release()
+
+
+def show_window(options: Options) -> None:
+    """Run the window until it is closed."""
+    from demos.window import Window
+
+    with Window("seamskin", options.size) as window:
+        viewer = Viewer(window, options)
+        window.on_key, window.on_drag, window.on_scroll = viewer.key, viewer.drag, viewer.scroll
+        last = time.perf_counter()
+        try:
+            while window.next_frame():
+                now = time.perf_counter()
+                viewer.frame(now - last)
+                window.set_title(f"{viewer.title} - {1e3 * (now - last):.1f} ms")
+                last = now
+        finally:
+            viewer.release()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry of `python -m demos.viewer`."""
+
+    def work() -> None:
+        parser = Parser("python -m demos.viewer", description="Look at a built character.")
+        add_arguments(parser)
+        _, options = parse(parser, arguments)
+        (draw_picture if options.headless else show_window)(options)
+
+    return run("viewer", work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
