@@ -1,13 +1,16 @@
 """The atlas stage: every point of a character gets its own texel region, with the least change that works.
 
-keep    the source's uvs, when they are one-to-one and inside the square;
-repack  the source's charts, packed anew;
+keep    the source's uvs, where they are one-to-one and inside the square;
+repack  the source's charts, packed anew, where each is sound;
 unwrap  charts made for decimation (`unwrap`);
-auto    the first of these that is one-to-one and reaches the floor.
+auto    the first of these that is one-to-one and reaches the floor asked for.
+
+Seams of kept charts are straightened; under `auto` the tolerance rises step by step while that may reach the floor.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,15 +18,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from preprocess.atlas.crowding import measure_crowding
 from preprocess.atlas.measure import measure_coverage, measure_stretch, straight_share
+from preprocess.atlas.overlap import find_overlap
 from preprocess.atlas.topology import cut_edges, find_edges, label_faces
 from preprocess.atlas.unwrap import unwrap
 from preprocess.errors import InputError
 from preprocess.mesh import SkinnedMesh
+from preprocess.repack import repack_charts
+from preprocess.split_edges import apply_split
+from preprocess.straighten import straighten
 
 log = logging.getLogger(__name__)
 
 MODES = ("auto", "keep", "repack", "unwrap")
+
+
+TOLERANCES_REL = (0.01, 0.02, 0.03, 0.05)
+"""Straightening tolerances that `auto` tries, of the diagonal of a seam's bounding box; the first is the paper's."""
+
+FLOOR_MARGIN = 0.97
+"""Decimation gets to within about 3 % of the faces that the chart outlines leave."""
+
+MAX_CROWDED = 0.002
+"""Share of the used texels that two charts may claim before `auto` packs them anew."""
 
 
 def default_floor(num_faces: int) -> int:
@@ -43,7 +61,7 @@ class Atlas:
         "keep", "repack" or "unwrap": what was done.
     num_charts : int
     overlap : int
-        Pairs of faces that overlap in uv; 0 unless `keep` was asked for.
+        Pairs of faces that overlap in uv and faces without area there; 0 unless `keep` or `repack` was asked for.
     stretch_l2, stretch_linf : float
         1 for an isometry.
     coverage : float
@@ -80,6 +98,7 @@ def build_atlas(
     *,
     mode: str = "auto",
     floor: int | None = None,
+    straighten_rel: float | None = TOLERANCES_REL[0],
     size_px: int = 1024,
     gutter_px: float = 4.0,
     min_chart_px: float = 4.0,
@@ -94,6 +113,9 @@ def build_atlas(
         "auto", "keep", "repack" or "unwrap".
     floor : int, optional
         Faces that the coarsest level may have; `default_floor` unless given.
+    straighten_rel : float, optional
+        Tolerance of straightening kept charts, of the diagonal of a seam's bounding box; None: leave seams as they
+        are. `auto` may go above it to reach the floor.
     size_px : int
         Side of the texture that gutters are measured in: the smallest of the character's textures that must keep
         its charts apart.
@@ -111,34 +133,135 @@ def build_atlas(
     InputError
         If the mesh has no faces, or `mode` is "keep" or "repack" and its uvs cannot be kept.
     ValueError
-        If the mode or a size is not one there is.
+        If the mode is not one there is.
     """
     if mode not in MODES:
         raise ValueError(f"atlas mode {mode!r} is none of {', '.join(MODES)}")
     if not mesh.num_faces:
         raise InputError("the mesh has no faces: there is no atlas to build")
     floor = default_floor(mesh.num_faces) if floor is None else floor
-    if mode in ("keep", "repack"):
-        if not mesh.has_uvs:
-            raise InputError(f"--atlas {mode}: parts of the mesh have no texture coordinates: use --atlas unwrap")
-        return _finish(mesh, mesh, "keep", False, 0, ())
-    made = unwrap(mesh, floor, size_px, gutter_px, min_chart_px)
+    packing = _Packing(size_px, gutter_px, min_chart_px)
+    if mode == "keep":
+        return _keep(mesh, straighten_rel)
+    if mode == "repack":
+        return _repack(mesh, straighten_rel, packing)
+    if mode == "unwrap":
+        return _unwrap(mesh, floor, packing)
+    tolerances: tuple[float | None, ...] = (None,)
+    if straighten_rel is not None:
+        tolerances = (straighten_rel, *(t for t in TOLERANCES_REL if t > straighten_rel))
+    reasons = []
+    for name, attempt, why_not in (
+        ("keep", lambda t: _keep(mesh, t), _why_not_keep(mesh, size_px)),
+        ("repack", lambda t: _repack(mesh, t, packing), _why_not_repack(mesh)),
+    ):
+        if not why_not:
+            for tolerance in tolerances:
+                atlas = attempt(tolerance)
+                if atlas.overlap == 0 and atlas.floor_faces <= FLOOR_MARGIN * floor:
+                    return _explain(atlas, reasons)
+            why_not = f"straight seams would leave {atlas.floor_faces} faces, {floor} are asked for"
+            if atlas.overlap:
+                why_not = f"{atlas.overlap} faces would overlap"
+        reasons.append(f"{name}: {why_not}")
+        log.info("atlas: not %s: %s", name, why_not)
+    return _explain(_unwrap(mesh, floor, packing), reasons)
+
+
+@dataclass(frozen=True)
+class _Packing:
+    size_px: int
+    gutter_px: float
+    min_chart_px: float
+
+
+def _why_not_keep(mesh: SkinnedMesh, size_px: int) -> str:
+    """Why the source's uvs cannot stay; empty if they can."""
+    uvs = mesh.surface.uvs
+    if not mesh.has_uvs or not len(uvs):
+        return "parts have no texture coordinates"
+    if not np.isfinite(uvs).all():
+        return "texture coordinates are not finite"
+    if uvs.min() < 0 or uvs.max() > 1:
+        return "texture coordinates leave the unit square"
+    overlap = find_overlap(uvs, mesh.surface.face_uvs)
+    if not overlap.one_to_one:
+        return f"{100 * overlap.faces.mean():.1f} % of the faces overlap or have no area in uv"
+    crowded = measure_crowding(mesh.surface, size_px)
+    if crowded > MAX_CROWDED:
+        return f"charts are so near that they share {100 * crowded:.1f} % of the texels at {size_px} x {size_px}"
+    return ""
+
+
+def _why_not_repack(mesh: SkinnedMesh) -> str:
+    """Why the source's charts cannot stay; empty as far as one can tell before they are packed."""
+    if not mesh.has_uvs or not len(mesh.surface.uvs):
+        return "parts have no texture coordinates"
+    if not np.isfinite(mesh.surface.uvs).all():
+        return "texture coordinates are not finite"
+    flat = find_overlap(mesh.surface.uvs, mesh.surface.face_uvs).num_flat
+    return f"{flat} faces have no area in uv" if flat else ""
+
+
+def _keep(mesh: SkinnedMesh, tolerance_rel: float | None) -> Atlas:
+    reason = ""
+    if not mesh.has_uvs or not len(mesh.surface.uvs):
+        reason = "parts of the mesh have no texture coordinates"
+    elif not np.isfinite(mesh.surface.uvs).all():
+        reason = "some texture coordinates are not finite"
+    elif mesh.surface.uvs.min() < 0 or mesh.surface.uvs.max() > 1:
+        reason = "texture coordinates leave the unit square"
+    if reason:
+        raise InputError(f"--atlas keep: {reason}: use --atlas auto or unwrap")
+    kept, floor_faces = _straighten(mesh, tolerance_rel, keep_packing=True)
+    return _finish(kept, "keep", tolerance_rel is not None, floor_faces, ())
+
+
+def _repack(mesh: SkinnedMesh, tolerance_rel: float | None, packing: _Packing) -> Atlas:
+    reason = _why_not_repack(mesh)
+    if reason:
+        raise InputError(f"--atlas repack: {reason}: use --atlas auto or unwrap")
+    kept, floor_faces = _straighten(mesh, tolerance_rel, keep_packing=False)
+    try:
+        packed = repack_charts(kept.surface, packing.size_px, packing.gutter_px)
+    except ValueError as error:
+        raise InputError(f"--atlas repack: {error}: use --atlas unwrap") from error
+    return _finish(kept.with_surface(packed.surface), "repack", True, floor_faces, ())
+
+
+def _unwrap(mesh: SkinnedMesh, floor: int, packing: _Packing) -> Atlas:
+    made = unwrap(mesh, floor, packing.size_px, packing.gutter_px, packing.min_chart_px)
     warnings = (f"{made.num_split} edges split so that seams are straight",) if made.num_split else ()
-    return _finish(mesh, made.mesh, "unwrap", True, made.layout.floor_faces, warnings)
+    return _finish(made.mesh, "unwrap", True, made.layout.floor_faces, warnings)
 
 
-def _finish(
-    source: SkinnedMesh, mesh: SkinnedMesh, mode: str, resampled: bool, floor_faces: int, warnings: tuple[str, ...]
-) -> Atlas:
+def _straighten(mesh: SkinnedMesh, tolerance_rel: float | None, *, keep_packing: bool) -> tuple[SkinnedMesh, int]:
+    """A mesh with straighter seams, and the faces that its chart outlines then leave."""
+    result = straighten(mesh.surface, 0.0 if tolerance_rel is None else tolerance_rel, keep_packing=keep_packing)
+    if tolerance_rel is None:
+        return mesh, result.floor_faces
+    return apply_split(mesh, result.split).with_surface(result.surface), result.floor_faces
+
+
+def _explain(atlas: Atlas, reasons: list[str]) -> Atlas:
+    return dataclasses.replace(atlas, report={**atlas.report, "not_chosen": reasons})
+
+
+def _finish(mesh: SkinnedMesh, mode: str, resampled: bool, floor_faces: int, warnings: tuple[str, ...]) -> Atlas:
+    """Measure what was made."""
     edges = find_edges(mesh.surface.faces)
     cut = cut_edges(edges, mesh.surface.face_uvs)
     num_charts, _ = label_faces(edges, cut)
+    overlap = find_overlap(mesh.surface.uvs, mesh.surface.face_uvs)
+    if not overlap.one_to_one:
+        share = 100 * float(overlap.faces.mean())
+        warnings += (f"{share:.1f} % of the faces overlap others in uv or have no area there: expect wrong textures",)
     l2, linf = measure_stretch(mesh.surface)
     atlas = Atlas(
         mesh=mesh,
         mode=mode,
         num_charts=num_charts,
-        overlap=0,
+        overlap=overlap.num_pairs + overlap.num_flat,
         stretch_l2=l2,
         stretch_linf=linf,
         coverage=measure_coverage(mesh.surface),

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from preprocess.atlas.layout import Layout
-from preprocess.mesh import Floats, Ints
+from preprocess.mesh import Floats, Ints, TexturedSurface
 
 SWEEPS = 30
 MIN_AREA_REL = 1e-5
@@ -86,10 +86,15 @@ def _edge_squares(positions: Floats, faces: Ints) -> Floats:
     return np.asarray(squares + tiny[:, None])
 
 
-def area_weights(edge_sq: Floats) -> Floats:
-    """Triangle areas from squared edge lengths (Heron), (F,)."""
-    a, b, c = edge_sq.T
-    return 0.25 * np.sqrt(np.maximum(2 * (a * b + b * c + c * a) - a * a - b * b - c * c, 0))
+def face_energies(surface: TexturedSurface, uvs: Floats, face_uvs: Ints) -> Floats:
+    """The energy of every face, (F,): its area times its squared L2 stretch at the uvs' own scale."""
+    opposite, g22, g11 = _edge_squares(surface.positions, surface.faces).T  # of corner 0
+    p, q = uvs[face_uvs[:, 1]] - uvs[face_uvs[:, 0]], uvs[face_uvs[:, 2]] - uvs[face_uvs[:, 0]]
+    g12 = 0.5 * (g11 + g22 - opposite)
+    area = 0.5 * np.sqrt(np.maximum(g11 * g22 - g12 * g12, 0))
+    double = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
+    trace = g11 * (q * q).sum(axis=1) - 2 * g12 * (p * q).sum(axis=1) + g22 * (p * p).sum(axis=1)
+    return 0.5 * area * trace / np.maximum(double * double, 1e-300)
 
 
 @njit(cache=True)

@@ -19,7 +19,7 @@ from preprocess.atlas.pack import pack_charts
 from preprocess.atlas.polygons import convex_polygons
 from preprocess.atlas.relax import relax_paths
 from preprocess.atlas.segment import grow_regions
-from preprocess.atlas.smooth import smooth_charts
+from preprocess.atlas.smooth import face_energies, smooth_charts
 from preprocess.atlas.topology import Bools, MeshEdges, face_frames, find_edges, label_faces
 from preprocess.errors import InputError
 from preprocess.mesh import Floats, Ints, SkinnedMesh, TexturedSurface
@@ -32,6 +32,19 @@ BUDGET_SHARE = 0.8
 
 FACES_PER_REGION = 4
 """Faces at the floor that one more region costs: two more corners, each in two faces more."""
+
+
+REFINED_SHARE = 0.9
+"""Up to this share of the floor, charts that are stretched too far are split again."""
+
+REFINEMENTS = 2
+MAX_STRETCH = 1.7
+"""L2 stretch beyond which a chart is split: an open tube with a cap, an ear, a fist."""
+
+MAX_GAIN = 1.5
+"""A stretched chart is enlarged up to this factor."""
+
+Frames = tuple[Floats, Floats, Floats]
 
 
 @dataclass(frozen=True)
@@ -75,62 +88,81 @@ def unwrap(mesh: SkinnedMesh, floor_faces: int, size_px: int, gutter_px: float, 
     InputError
         If there is nothing to unwrap.
     """
-    surface = mesh.surface
-    if not len(surface.faces):
+    if not mesh.num_faces:
         raise InputError("the mesh has no faces: there is nothing to unwrap")
+    surface = mesh.surface
     edges = find_edges(surface.faces)
-    layout = _fit_layout(surface, edges, floor_faces)
-    mesh, edges, layout, num_split = _split_chords(mesh, edges, layout)
-    uvs = _map_charts(mesh.surface, layout, size_px, gutter_px, min_chart_px)
-    surface = TexturedSurface(mesh.surface.positions, mesh.surface.faces, uvs, layout.face_uvs)
-    return Unwrapped(mesh.with_surface(surface), layout, num_split)
-
-
-def _fit_layout(surface: TexturedSurface, edges: MeshEdges, floor_faces: int) -> Layout:
-    """The layout with the most regions whose floor is within the budget."""
-    budget = BUDGET_SHARE * floor_faces
     frames = face_frames(surface.positions, surface.faces)
+    regions = _fit_regions(surface, edges, frames, BUDGET_SHARE * floor_faces)
+    for attempt in range(REFINEMENTS + 1):
+        layout = build_layout(surface.positions, surface.faces, edges, _region_borders(edges, regions))
+        split, split_layout, num_split = _split_chords(mesh, edges, layout)
+        charts = _map_charts(split.surface, split_layout)
+        spare = REFINED_SHARE * floor_faces - layout.floor_faces
+        worst = _most_stretched(charts, int(spare / FACES_PER_REGION))
+        if attempt == REFINEMENTS or not len(worst):
+            break
+        log.debug("%d of %d charts are stretched too far: split", len(worst), layout.num_charts)
+        regions = _halve_regions(surface, edges, frames, split_layout.face_charts[: mesh.num_faces], worst)
+    uvs = _place_charts(charts, split_layout, size_px, gutter_px, min_chart_px)
+    surface = TexturedSurface(split.surface.positions, split.surface.faces, uvs, split_layout.face_uvs)
+    return Unwrapped(split.with_surface(surface), split_layout, num_split)
+
+
+def _fit_regions(surface: TexturedSurface, edges: MeshEdges, frames: Frames, budget: float) -> Ints:
+    """The segmentation with the most regions whose base mesh is within the budget, (F,)."""
     num_parts, parts = label_faces(edges, ~edges.glued)
     part_area = np.bincount(parts, frames[0], minlength=num_parts)
     share = part_area / max(part_area.sum(), 1e-300)
     wanted = budget
-    best: Layout | None = None
+    best: tuple[int, Ints] | None = None
     for _ in range(5):
         counts = np.maximum(np.rint((wanted * share + 4) / FACES_PER_REGION).astype(np.int32), 1)
-        cut = _cut_regions(surface, edges, frames, parts, counts)
-        layout = build_layout(surface.positions, surface.faces, edges, cut)
-        log.debug("%d regions wanted: %d charts, floor %d", counts.sum(), layout.num_charts, layout.floor_faces)
-        fits = layout.floor_faces <= budget
-        if best is None or (layout.floor_faces > best.floor_faces if fits else layout.floor_faces < best.floor_faces):
-            best = layout
-        if counts.max() == 1 or (fits and layout.floor_faces >= 0.93 * budget):
+        count, regions = grow_regions(edges.neighbors, *frames, parts, counts)
+        regions = _make_disks(surface, edges, frames, regions, count)
+        regions, floor = _relax(surface, edges, frames, regions)
+        log.debug("%d regions wanted: %d grown, floor %d", counts.sum(), regions.max() + 1, floor)
+        fits = floor <= budget
+        if best is None or (floor > best[0] if fits and best[0] <= budget else floor < best[0]):
+            best = floor, regions
+        if counts.max() == 1 or (fits and floor >= 0.93 * budget):
             break
-        wanted *= np.clip(0.97 * budget / layout.floor_faces, 0.2, 1.5)
+        wanted *= np.clip(0.97 * budget / floor, 0.2, 1.5)
     assert best is not None
-    return best
+    return best[1]
 
 
-def _cut_regions(
-    surface: TexturedSurface, edges: MeshEdges, frames: tuple[Floats, Floats, Floats], parts: Ints, counts: Ints
-) -> Bools:
-    """Cut edges of a segmentation into disks with relaxed boundaries, (E,) bool."""
-    areas, normals, centroids = frames
-    count, regions = grow_regions(edges.neighbors, areas, normals, centroids, parts, counts)
+def _halve_regions(surface: TexturedSurface, edges: MeshEdges, frames: Frames, regions: Ints, chosen: Ints) -> Ints:
+    """Split the chosen regions in two and straighten the borders anew."""
+    count = int(regions.max()) + 1
+    number = np.full(count, -1, np.int32)
+    number[chosen] = np.arange(len(chosen))
+    domains = number[regions]
+    _, halves = grow_regions(edges.neighbors, *frames, domains, np.full(len(chosen), 2, np.int32))
+    regions = np.where(domains >= 0, count + halves, regions).astype(np.int32)
+    regions = _make_disks(surface, edges, frames, regions, count + 2 * len(chosen))
+    return _relax(surface, edges, frames, regions)[0]
+
+
+def _make_disks(surface: TexturedSurface, edges: MeshEdges, frames: Frames, regions: Ints, count: int) -> Ints:
+    """Split every region that is not a disk until all are."""
     while True:
-        cut = _region_borders(edges, regions)
-        charts, characteristic = chart_characteristics(surface.faces, edges, cut)
+        charts, characteristic = chart_characteristics(surface.faces, edges, _region_borders(edges, regions))
         bad = characteristic != 1
         if not bad.any():
-            break
+            return regions
         number = np.where(bad, np.cumsum(bad) - 1, -1)
         domains = number[charts].astype(np.int32)
-        added, halves = grow_regions(
-            edges.neighbors, areas, normals, centroids, domains, np.full(int(bad.sum()), 2, np.int32)
-        )
+        added, halves = grow_regions(edges.neighbors, *frames, domains, np.full(int(bad.sum()), 2, np.int32))
         regions = np.where(domains >= 0, count + halves, regions).astype(np.int32)
         count += added
-    layout = build_layout(surface.positions, surface.faces, edges, cut)
-    return relax_paths(surface, edges, normals, layout)
+
+
+def _relax(surface: TexturedSurface, edges: MeshEdges, frames: Frames, regions: Ints) -> tuple[Ints, int]:
+    """Straighter borders; also the faces of the base mesh before that (its corners hardly change)."""
+    layout = build_layout(surface.positions, surface.faces, edges, _region_borders(edges, regions))
+    cut = relax_paths(surface, edges, frames[1], layout)
+    return label_faces(edges, cut)[1], layout.floor_faces
 
 
 def _region_borders(edges: MeshEdges, regions: Ints) -> Bools:
@@ -138,11 +170,11 @@ def _region_borders(edges: MeshEdges, regions: Ints) -> Bools:
     return ~edges.glued | (regions[halves[:, 0] // 3] != regions[halves[:, 1] // 3])
 
 
-def _split_chords(mesh: SkinnedMesh, edges: MeshEdges, layout: Layout) -> tuple[SkinnedMesh, MeshEdges, Layout, int]:
+def _split_chords(mesh: SkinnedMesh, edges: MeshEdges, layout: Layout) -> tuple[SkinnedMesh, Layout, int]:
     """Split every inner edge that joins two vertices of one straight side: it would map onto that side."""
     chords = find_chords(edges, layout)
     if not len(chords):
-        return mesh, edges, layout, 0
+        return mesh, layout, 0
     cut_pairs = edges.vertices[layout.cut]
     corner = np.zeros(len(mesh.surface.positions), bool)
     corner[layout.path_vertices[layout.path_first[:-1]]] = True
@@ -155,8 +187,7 @@ def _split_chords(mesh: SkinnedMesh, edges: MeshEdges, layout: Layout) -> tuple[
     cut |= ~new_edges.glued
     extra = np.zeros(stride, bool)
     extra[: len(corner)] = corner
-    new_layout = build_layout(split.surface.positions, split.surface.faces, new_edges, cut, extra)
-    return split, new_edges, new_layout, len(chords)
+    return split, build_layout(split.surface.positions, split.surface.faces, new_edges, cut, extra), len(chords)
 
 
 def find_chords(edges: MeshEdges, layout: Layout) -> Ints:
@@ -178,19 +209,32 @@ def find_chords(edges: MeshEdges, layout: Layout) -> Ints:
     return inner[both & shared].astype(np.int32)
 
 
-def _map_charts(
-    surface: TexturedSurface, layout: Layout, size_px: int, gutter_px: float, min_chart_px: float
-) -> Floats:
-    """uvs of all texture vertices, (T, 2)."""
+@dataclass(frozen=True)
+class _Charts:
+    """Charts in the plane before they are packed.
+
+    corners (N, 2) are the polygons', uvs (T, 2) all texture vertices at the surface's scale, fractions (N',) where
+    vertices lie on their paths; areas_m2 (C,) on the surface, stretch (C,) the L2 stretch of each chart.
+    """
+
+    corners: Floats
+    uvs: Floats
+    fractions: Floats
+    areas_m2: Floats
+    stretch: Floats
+
+
+def _map_charts(surface: TexturedSurface, layout: Layout) -> _Charts:
+    """Each chart in its convex polygon, of the chart's own area."""
     points = surface.positions[layout.uv_vertices]
     num_charts = layout.num_charts
-    free = flatten_free(points, layout.face_uvs, layout.face_charts, num_charts)
     side_charts = np.repeat(np.arange(num_charts), layout.num_sides)
+    areas_m2 = np.bincount(layout.face_charts, face_frames(surface.positions, surface.faces)[0], num_charts)
+    areas_m2 = np.maximum(areas_m2, 1e-12 * max(float(areas_m2.sum()), 1e-300))
+    free = flatten_free(points, layout.face_uvs, layout.face_charts, num_charts)
     path_lengths = _path_lengths(surface.positions, layout)
     corners = convex_polygons(free[layout.side_uvs], layout.chart_first, path_lengths[layout.side_paths])
-    frames = face_frames(surface.positions, surface.faces)
-    real_areas = np.bincount(layout.face_charts, frames[0], num_charts)
-    corners *= np.sqrt(real_areas / _polygon_areas(corners, layout))[side_charts][:, None]
+    corners *= np.sqrt(areas_m2 / _polygon_areas(corners, layout))[side_charts][:, None]
 
     boundary = np.zeros(len(points), bool)
     boundary[layout.boundary_uvs] = True
@@ -199,16 +243,31 @@ def _map_charts(
     uvs, folds = flatten_fixed(points, layout.face_uvs, layout.face_charts, num_charts, boundary, uvs)
     if folds.any():
         log.warning("%d of %d charts have folded faces", int((folds > 0).sum()), num_charts)
-    fractions = layout.path_fractions
-    uvs, fractions = smooth_charts(surface.positions, surface.faces, layout, corners, uvs, fractions, folds)
+    uvs, fractions = smooth_charts(surface.positions, surface.faces, layout, corners, uvs, layout.path_fractions, folds)
+    energy = np.bincount(layout.face_charts, face_energies(surface, uvs, layout.face_uvs), num_charts)
+    return _Charts(corners, uvs, fractions, areas_m2, np.sqrt(energy / areas_m2))
 
-    segments = np.stack([corners, corners[layout.side_ends]], axis=1)
+
+def _most_stretched(charts: _Charts, limit: int) -> Ints:
+    """The charts that are stretched too far, worst first, at most `limit` of them."""
+    order = np.argsort(-charts.stretch, kind="stable")
+    return order[charts.stretch[order] > MAX_STRETCH][: max(limit, 0)].astype(np.int32)
+
+
+def _place_charts(charts: _Charts, layout: Layout, size_px: int, gutter_px: float, min_chart_px: float) -> Floats:
+    """uvs of all texture vertices in the packed atlas, (T, 2)."""
+    side_charts = np.repeat(np.arange(layout.num_charts), layout.num_sides)
+    # Of all ways to share out the square, this one has the least L2 stretch overall.
+    gain = np.clip(np.sqrt(charts.stretch), 1.0, MAX_GAIN)
+    corners = charts.corners * gain[side_charts][:, None]
     mirror = np.array([1.0, -1.0])  # v runs down: seen as an image, no chart is mirrored
-    packing = pack_charts(segments * mirror, side_charts, num_charts, real_areas, size_px, gutter_px, min_chart_px)
-    uv_charts = np.zeros(len(points), np.int32)
+    segments = np.stack([corners, corners[layout.side_ends]], axis=1) * mirror
+    areas = charts.areas_m2 * gain**2
+    packing = pack_charts(segments, side_charts, layout.num_charts, areas, size_px, gutter_px, min_chart_px)
+    uv_charts = np.zeros(len(charts.uvs), np.int32)
     uv_charts[layout.face_uvs] = layout.face_charts[:, None]
-    placed = packing.apply(uvs * mirror, uv_charts)
-    placed[layout.boundary_uvs] = _along_sides(layout, packing.apply(corners * mirror, side_charts), fractions)
+    placed = packing.apply(charts.uvs * gain[uv_charts][:, None] * mirror, uv_charts)
+    placed[layout.boundary_uvs] = _along_sides(layout, packing.apply(corners * mirror, side_charts), charts.fractions)
     return placed
 
 
