@@ -32,6 +32,8 @@ ACTIVE_TEXTURE, TEXTURE_BINDING_2D, SAMPLER_BINDING, TEXTURE0 = 0x84E0, 0x8069, 
 PATCH_VERTICES, UNPACK_ALIGNMENT, PIXEL_UNPACK_BUFFER_BINDING, VIEWPORT = 0x8E72, 0x0CF5, 0x88EF, 0x0BA2
 UNPACK_SETTINGS = (0x0CF0, 0x0CF1, 0x0CF2, 0x0CF3, 0x0CF4, UNPACK_ALIGNMENT)
 PIXEL_UNPACK_BUFFER, ARRAY_BUFFER, UNIFORM_BUFFER, TEXTURE_2D = 0x88EC, 0x8892, 0x8A11, 0x0DE1
+FLOAT, UNSIGNED_BYTE = 0x1406, 0x1401
+DRAW_FRAMEBUFFER, DRAW_FRAMEBUFFER_BINDING, READ_FRAMEBUFFER, READ_FRAMEBUFFER_BINDING = 0x8CA9, 0x8CA6, 0x8CA8, 0x8CAA
 FRONT, BACK, FRONT_AND_BACK, CW, CCW, LINE, FILL = 0x0404, 0x0405, 0x0408, 0x0900, 0x0901, 0x1B01, 0x1B02
 LESS, LEQUAL, ZERO, ONE, SRC_ALPHA, ONE_MINUS_SRC_ALPHA, FUNC_ADD = 0x0201, 0x0203, 0, 1, 0x0302, 0x0303, 0x8006
 
@@ -48,6 +50,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "glBindBufferBase": (None, _U, _U, _U), "glBindBufferRange": (None, _U, _U, _U, ctypes.c_ssize_t, ctypes.c_ssize_t),
     "glActiveTexture": (None, _U), "glBindTexture": (None, _U, _U), "glBindSampler": (None, _U, _U),
     "glPixelStorei": (None, _U, _I), "glPatchParameteri": (None, _U, _I),
+    "glBindFramebuffer": (None, _U, _U), "glVertexAttribPointer": (None, _U, _I, _U, _B, _I, _P),
 }  # fmt: skip
 
 

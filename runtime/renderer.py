@@ -27,11 +27,12 @@ from runtime.gpu_asset import INSTANCE, NUM_TEXTURE_UNITS, TEXTURE_UNITS, Model,
 from runtime.lod import choose_levels, pixels_per_metre, transform_boxes, visible
 from runtime.patches import PATCH_VERTICES
 from runtime.programs import TESSELLATION_VERSION_CODE, build_program, require_version
-from runtime.views import LINE_COLORS, LINES, VIEWS, View
+from runtime.views import LINE_COLORS, LINES, VIEWS, CrowdFrame, DrawsItself, View
 
 if TYPE_CHECKING:
     from runtime.actor import Actor
     from runtime.asset import MaterialData
+    from runtime.crowd import Crowd
 
 FRAME_BINDING = 0
 FRAME_FLOATS = 4 * 18
@@ -206,7 +207,7 @@ class Renderer:
 
     def draw(
         self,
-        actors: Iterable[Actor],
+        actors: Iterable[Actor | Crowd],
         camera: Camera | MatrixCamera,
         *,
         view: str = "lit",
@@ -214,11 +215,11 @@ class Renderer:
         tessellation: float | str = "auto",
         uniforms: Mapping[str, Any] | None = None,
     ) -> None:
-        """Draw actors into the bound framebuffer.
+        """Draw actors and crowds into the bound framebuffer.
 
         Parameters
         ----------
-        actors : iterable of Actor
+        actors : iterable of Actor and Crowd
             Invisible, released and out-of-view ones are skipped.
         camera : Camera or MatrixCamera
         view : str
@@ -243,7 +244,9 @@ class Renderer:
         if view not in self._views:
             raise RenderError(f"no view {view!r}: one of {', '.join(self._views)}")
         factor = self._checked_tessellation(tessellation)
-        batches = gather(actors)
+        things = tuple(actors)
+        crowds = [thing for thing in things if isinstance(thing, DrawsItself)]
+        batches = gather(thing for thing in things if not isinstance(thing, DrawsItself))
         for model, _ in batches:
             self._check_model(model, lod)
         with self._guard() as gl:
@@ -259,6 +262,23 @@ class Renderer:
                 for group in self._place(model, batch, matrices, height, lod, tessellation)
             ]
             self._draw_groups(gl, groups, view, self._views[view], dict(uniforms or {}))
+            for crowd in crowds:
+                if crowd.ctx is not self.ctx:
+                    raise RenderError("a crowd belongs to another context than the renderer")
+                crowd.draw_in(
+                    CrowdFrame(
+                        gl=gl,
+                        camera=matrices,
+                        width_px=width,
+                        height_px=height,
+                        threshold_px=self.quality.threshold_px,
+                        level=None if isinstance(lod, str) else lod,
+                        view_name=view,
+                        view=self._views[view],
+                        uniforms=dict(uniforms or {}),
+                        defines=self._defines,
+                    )
+                )
 
     def _require_usable(self) -> None:
         if self._released:
@@ -427,7 +447,7 @@ class Renderer:
         gl.glFrontFace(gl_state.CW if group.mirrored else gl_state.CCW)
         for part in ranges:
             gl.switch(gl_state.CULL_FACE, not part.material.double_sided)
-            _set_material(program, part.material, view.blends)
+            set_material(program, part.material, view.blends)
             array.render(mode, vertices=part.count * per_face, first=part.first * per_face, instances=count)
 
     def _draw_lines(self, gl: Functions, group: _Group, count: int, lines: str) -> None:
@@ -441,7 +461,7 @@ class Renderer:
             return
         program = self._program("lines", LINES, False)
         self._bind(group, program, uniforms)
-        _set_material(program, group.model.lods[group.level].groups[0].material, False)
+        set_material(program, group.model.lods[group.level].groups[0].material, False)
         array = group.model.vertex_array((id(self), "lines", False), group.key, program, group.level, "seams")
         array.render(moderngl.LINES, instances=count)
 
@@ -461,7 +481,7 @@ class Renderer:
                 thing.release()
 
 
-def _set_material(program: moderngl.Program, material: MaterialData, blends: bool) -> None:
+def set_material(program: moderngl.Program, material: MaterialData, blends: bool) -> None:
     """Uniforms of one material, those that the program has."""
     is_blended = material.alpha_mode == "BLEND" and blends
     values: dict[str, Any] = {

@@ -5,7 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+if TYPE_CHECKING:
+    import moderngl
+
+    from runtime.camera import CameraMatrices
+    from runtime.gl_state import Functions
 
 
 @dataclass(frozen=True)
@@ -40,6 +46,49 @@ class View:
     writes_color: bool = True
     text: str | None = None
     folder: Path | None = None
+
+
+@dataclass(frozen=True)
+class CrowdFrame:
+    """What a renderer tells a crowd about the picture being drawn.
+
+    Attributes
+    ----------
+    gl : Functions
+        The state is saved already; drawing may change it.
+    camera : CameraMatrices
+    width_px, height_px : int
+    threshold_px : float
+        Largest error on the screen that a level of detail may have.
+    level : int or None
+        One level of detail for all, None to choose.
+    view_name, view : the way to look
+    uniforms : mapping
+        Of a caller's own fragment shader.
+    defines : mapping
+        Preprocessor definitions of all programs.
+    """
+
+    gl: Functions
+    camera: CameraMatrices
+    width_px: int
+    height_px: int
+    threshold_px: float
+    level: int | None
+    view_name: str
+    view: View
+    uniforms: Mapping[str, Any]
+    defines: Mapping[str, str | int]
+
+
+@runtime_checkable
+class DrawsItself(Protocol):
+    """What a renderer can draw besides actors: a crowd."""
+
+    ctx: moderngl.Context
+
+    def draw_in(self, frame: CrowdFrame) -> None:
+        """Draw into the picture."""
 
 
 PAPER = (0.72, 0.70, 0.66)
