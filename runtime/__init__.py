@@ -14,16 +14,20 @@ from typing import TYPE_CHECKING, Any
 from runtime.errors import AssetError, RenderError
 
 if TYPE_CHECKING:
+    from runtime.actor import Actor
     from runtime.asset import Asset, load
     from runtime.camera import Camera, MatrixCamera, framing
+    from runtime.crowd import Crowd
     from runtime.environment import Environment, Lighting
     from runtime.gpu_asset import Model
     from runtime.renderer import Quality, Renderer
 
 __all__ = [
+    "Actor",
     "Asset",
     "AssetError",
     "Camera",
+    "Crowd",
     "Environment",
     "Lighting",
     "MatrixCamera",
@@ -36,11 +40,13 @@ __all__ = [
 ]
 
 _HOMES = {
+    "Actor": "actor",
     "Asset": "asset",
     "load": "asset",
     "Camera": "camera",
     "MatrixCamera": "camera",
     "framing": "camera",
+    "Crowd": "crowd",
     "Environment": "environment",
     "Lighting": "environment",
     "Model": "gpu_asset",
