@@ -122,7 +122,7 @@ def _fan(tokens_per_line: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.stack([origin, origin + step + 1, origin + step + 2], axis=1)
 
 
-def weld_texture_vertices(faces: Ints, uvs: Floats, corner_uvs: Ints) -> tuple[Floats, Ints]:
+def weld_texture_vertices(faces: Ints, uvs: Floats, corner_uvs: NDArray[np.integer]) -> tuple[Floats, Ints]:
     """Make each texture vertex one (surface vertex, uv) pair, in the order of the uvs given.
 
     Parameters
@@ -201,8 +201,8 @@ def read_obj(path: Path) -> TexturedSurface:
     face_uvs = _absolute(corner_uvs, line_of_corner, uv_lines.lines, path, "texture vertex")[triangles]
 
     file_uvs = np.stack([file_uvs[:, 0], 1.0 - file_uvs[:, 1]], axis=1)
-    uvs, face_uvs = weld_texture_vertices(faces.astype(np.int32), file_uvs, face_uvs)
-    surface = TexturedSurface(positions, faces.astype(np.int32), uvs, face_uvs)
+    uvs, welded = weld_texture_vertices(faces.astype(np.int32), file_uvs, face_uvs)
+    surface = TexturedSurface(positions, faces.astype(np.int32), uvs, welded)
     surface.validate()
     return surface
 

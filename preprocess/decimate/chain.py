@@ -1,0 +1,159 @@
+"""Decimation as a stage: a chain of levels in one continuous run (paper, section 5; method, section 5).
+
+Each level is a simplification of the one before: the run goes on from full detail to the floor, and what is left at
+each target is kept. The automatic chain halves the faces from level to level.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from preprocess.decimate.engine import Engine, make_engine
+from preprocess.decimate.lod import Chain, DecimateOptions, Lod
+from preprocess.decimate.topology import build_half_edges
+from preprocess.errors import InputError
+from preprocess.mesh import TexturedSurface
+
+log = logging.getLogger(__name__)
+
+# A level that would save less than this share of the one before is not worth its bytes.
+MIN_SAVING_REL = 0.2
+
+
+def _targets(num_faces: int, options: DecimateOptions) -> list[int]:
+    """Face counts to aim at, finest first; the last automatic one is the floor itself."""
+    if options.ratios is not None:
+        for ratio in options.ratios:
+            if not 0.0 < ratio <= 1.0:
+                raise InputError(f"level ratio {ratio:g} is not above 0 and at most 1: give fractions of the faces")
+        return sorted({max(1, round(ratio * num_faces)) for ratio in options.ratios}, reverse=True)
+    levels = max(0, math.floor(math.log2(max(num_faces / max(options.min_faces, 1), 1.0))))
+    return [num_faces] + [max(1, round(num_faces / 2**level)) for level in range(1, levels + 2)]
+
+
+def check_target(target_faces: int, num_faces: int) -> None:
+    """Refuse a number of faces that no decimation can reach.
+
+    Raises
+    ------
+    InputError
+        If it is below one or above the mesh's own.
+    """
+    if target_faces < 1:
+        raise InputError(f"a target of {target_faces} faces is below one: give at least one face")
+    if target_faces > num_faces:
+        raise InputError(f"a target of {target_faces} faces is above the mesh's {num_faces}: give a smaller one")
+
+
+def decimate_to(
+    surface: TexturedSurface,
+    target_faces: int,
+    options: DecimateOptions | None = None,
+    *,
+    position_texture: NDArray[np.floating] | None = None,
+    poses: NDArray[np.floating] | None = None,
+) -> Chain:
+    """One level with at most `target_faces` faces, or the floor.
+
+    Parameters
+    ----------
+    surface : TexturedSurface
+    target_faces : int
+        Between one and the surface's number of faces.
+    options, position_texture, poses
+        See `decimate`.
+
+    Returns
+    -------
+    Chain
+        With one level; `blocked` says why it has more faces than asked for, if it has.
+
+    Raises
+    ------
+    InputError
+        If the target cannot be, or the surface has no faces or numbers that are not finite.
+    """
+    check_target(target_faces, len(surface.faces))
+    engine = make_engine(surface, options or DecimateOptions(), position_texture, poses)
+    engine.run_to(target_faces)
+    stopped = engine.num_faces > target_faces
+    blocked = engine.blocked() if stopped else {}
+    return Chain(
+        (engine.snapshot(),), engine.num_faces if stopped else -1, blocked, engine.repairs, engine.repairs.warnings()
+    )
+
+
+def decimate(
+    surface: TexturedSurface,
+    options: DecimateOptions | None = None,
+    *,
+    position_texture: NDArray[np.floating] | None = None,
+    poses: NDArray[np.floating] | None = None,
+) -> Chain:
+    """A chain of levels of detail that share one set of textures.
+
+    Parameters
+    ----------
+    surface : TexturedSurface
+        Its seams should be straight (`preprocess.straighten` or an atlas made for it); where they are not, they stay.
+    options : DecimateOptions
+    position_texture : (H, W, 3) float, metres, or None
+        What the vertices will be drawn at; the cost of a collapse is that of what is drawn.
+    poses : (P, V, 3, 4) float or None
+        Skinning matrix of every vertex of `surface` in each pose that counts besides the bind pose.
+
+    Returns
+    -------
+    Chain
+        Level 0 is the full mesh (cleaned), unless `options.ratios` leaves it out.
+
+    Raises
+    ------
+    InputError
+        If the surface has no faces, numbers that are not finite, or a ratio is not in (0, 1].
+    """
+    options = options or DecimateOptions()
+    engine = make_engine(surface, options, position_texture, poses)
+    lods: list[Lod] = []
+    floor = -1
+    for target in _targets(engine.num_faces, options):
+        engine.run_to(target)
+        worth = not lods or options.ratios is not None or engine.num_faces <= (1 - MIN_SAVING_REL) * lods[-1].num_faces
+        if worth:
+            lods.append(engine.snapshot())
+        if engine.num_faces > target:
+            floor = engine.num_faces
+            break
+    blocked = engine.blocked() if floor >= 0 else {}
+    warnings = engine.repairs.warnings()
+    log.info("decimate: %d -> %s faces", len(surface.faces), ", ".join(str(lod.num_faces) for lod in lods))
+    return Chain(tuple(lods), floor, blocked, engine.repairs, warnings)
+
+
+def floor_faces(surface: TexturedSurface, tolerance_uv: float = 1e-9) -> int:
+    """Faces at which no exact collapse can be left, from the charts' corners alone.
+
+    A chart of Euler characteristic c whose outline keeps k corners has at least k - 2 c faces. The run may stop
+    above it where a collapse would fold the mesh.
+
+    Parameters
+    ----------
+    surface : TexturedSurface
+    tolerance_uv : float
+
+    Raises
+    ------
+    InputError
+        See `decimate`.
+    """
+    from preprocess.decimate.floor import count_floor
+
+    half_edges, _ = build_half_edges(surface)
+    return count_floor(half_edges, surface, tolerance_uv)
+
+
+__all__ = ["Engine", "check_target", "decimate", "decimate_to", "floor_faces"]

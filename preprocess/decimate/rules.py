@@ -1,0 +1,216 @@
+"""Which edge may collapse, onto which end, and what of the result is free: the rule table and the kernels that read it.
+
+| edge                  | ends                | result                              | because                     |
+|-----------------------|---------------------|-------------------------------------|-----------------------------|
+| inside a chart        | both inside         | xyz and uv free                     | nothing but cost holds it   |
+| inside a chart        | one on a silhouette | that end's uvs; xyz free            | the outline must stay       |
+| inside a chart        | both on silhouettes | never (TWO_SILHOUETTES)             | it would pinch the chart    |
+| seam                  | none unifiable      | never (NO_FREE_END)                 | a corner would be cut       |
+| seam                  | one unifiable       | the other's uvs; xyz free           | the other end is a corner   |
+| seam                  | both unifiable      | t along both joint lines; xyz free  | p, a, b, q are on one line  |
+| boundary              | as on a seam        | the same, with one side             |                             |
+| to the virtual vertex |                     | never                               | it stands for a hole        |
+
+An end b of a silhouette edge a-b is unifiable when exactly two silhouette edges meet there, both seams or both
+boundaries, and the path a-b-q is one uniformly timed line: the point (b1, b2) of R4, b's uvs on the two sides, lies
+on the segment from (a1, a2) to (q1, q2). That one test is both of the paper's, collinearity and equal length ratios.
+It is kept with its error: each silhouette edge carries the largest uv distance by which the line that it replaces
+strays from it, and a collapse that would bring the sum over the tolerance is refused. At the exact levels the
+tolerance is rounding; at relaxed ones it is part of a texel.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from preprocess.decimate.heap import Heap
+from preprocess.decimate.jit import helper
+from preprocess.decimate.topology import next_of, previous_of
+
+# Why an edge does not collapse. The first four come from the table, the others from the state of the mesh.
+ALLOWED, VIRTUAL, TWO_SILHOUETTES, NO_FREE_END, LINK, FLIP = 0, 1, 2, 3, 4, 5
+RULE_NAMES = {
+    TWO_SILHOUETTES: "joins two chart outlines",
+    NO_FREE_END: "seam or boundary edge between two corners",
+    LINK: "link condition",
+    FLIP: "would fold or degenerate a triangle",
+}
+
+STRICT_NONE, STRICT_SHAPE, STRICT_SEAMLESS = 0, 1, 2
+
+
+class Mesh(NamedTuple):
+    """Everything a run changes, in normalised units. V vertices, W wedges, P poses.
+
+    tail, wedge, twin, out, num_silhouettes : see topology.HalfEdges
+    xyz (V, 3), uv (W, 2), quadric (W, 21) : float64
+    deviation : (3 F',) float64, uv distance the original line strays from a silhouette edge
+    blocked : (3 F',) uint8, 1 where an edge was tried, found invalid and waits for its surroundings to change
+    num_blocked : (V + 1,) int32, such edges at each vertex
+    orientation : (F,) int8, sign of each face's uv area
+    mark : (V + 1,) int32, scratch of the link condition; counter : (8,) int64 [faces left, mark stamp, collapses]
+    texture : (H, W, 3) float64, positions drawn at a uv, or (0, 0, 3)
+    pose_xyz (V, P, 3), pose_rotation (V, P, 3, 3), pose_quadric (V, P, 10) : float64
+    candidates : (8, 8) float64 scratch; scratch : (5, 6) and ten : (10,) float64
+    settings : (8,) float64, see engine.Settings
+    """
+
+    tail: NDArray[np.int64]
+    wedge: NDArray[np.int64]
+    twin: NDArray[np.int64]
+    out: NDArray[np.int64]
+    num_silhouettes: NDArray[np.uint8]
+    xyz: NDArray[np.float64]
+    uv: NDArray[np.float64]
+    quadric: NDArray[np.float64]
+    deviation: NDArray[np.float64]
+    blocked: NDArray[np.uint8]
+    num_blocked: NDArray[np.int32]
+    orientation: NDArray[np.int8]
+    mark: NDArray[np.int32]
+    counter: NDArray[np.int64]
+    texture: NDArray[np.float64]
+    pose_xyz: NDArray[np.float64]
+    pose_rotation: NDArray[np.float64]
+    pose_quadric: NDArray[np.float64]
+    candidates: NDArray[np.float64]
+    scratch: NDArray[np.float64]
+    ten: NDArray[np.float64]
+    settings: NDArray[np.float64]
+    heap: Heap
+
+
+# Slots of Mesh.settings and Mesh.counter.
+UV_SCALE, SEAM_TOLERANCE, STRICT, MIN_NORMAL_DOT, MIN_UV_HEIGHT, MIN_SHAPE = 0, 1, 2, 3, 4, 5
+FACES_LEFT, STAMP, COLLAPSES, RETRIES = 0, 1, 2, 3
+
+
+@helper
+def is_silhouette(m, h):
+    """Whether a half-edge lies on a seam or a boundary."""
+    t = m.twin[h]
+    return m.wedge[h] != m.wedge[next_of(t)] or m.wedge[next_of(h)] != m.wedge[t]
+
+
+@helper
+def other_silhouette(m, h):
+    """The other silhouette half-edge that starts where h starts, when there are two."""
+    g = m.twin[previous_of(h)]
+    while g != h:
+        if is_silhouette(m, g) and m.tail[next_of(g)] != len(m.out) - 1:
+            return g
+        g = m.twin[previous_of(g)]
+    return h
+
+
+@helper
+def line_distance(m, p0, p1, b0, b1, q0, q1, paired):
+    """Distance in uv of the point (b0, b1) from the segment (p0, p1)-(q0, q1) of R4, and where on it.
+
+    Wedges of NO_WEDGE take no part. With `paired` false each side is measured at its own nearest point, which is the
+    test of shape alone.
+
+    Returns
+    -------
+    distance : float, the larger of the two sides'; infinity where b does not lie between p and q
+    t : float, fraction along the segment
+    """
+    dot, square = 0.0, 0.0
+    for side in range(2):
+        p, b, q = (p0, b0, q0) if side == 0 else (p1, b1, q1)
+        if p < 0 or b < 0 or q < 0:
+            continue
+        dx, dy = m.uv[q, 0] - m.uv[p, 0], m.uv[q, 1] - m.uv[p, 1]
+        dot += (m.uv[b, 0] - m.uv[p, 0]) * dx + (m.uv[b, 1] - m.uv[p, 1]) * dy
+        square += dx * dx + dy * dy
+    if not (dot > 0.0 and dot < square):
+        return math.inf, 0.0
+    joint = dot / square
+    largest = 0.0
+    for side in range(2):
+        p, b, q = (p0, b0, q0) if side == 0 else (p1, b1, q1)
+        if p < 0 or b < 0 or q < 0:
+            continue
+        dx, dy = m.uv[q, 0] - m.uv[p, 0], m.uv[q, 1] - m.uv[p, 1]
+        ex, ey = m.uv[b, 0] - m.uv[p, 0], m.uv[b, 1] - m.uv[p, 1]
+        t = joint
+        if not paired:
+            square = dx * dx + dy * dy
+            if square == 0.0:
+                return math.inf, 0.0
+            t = (ex * dx + ey * dy) / square
+            if not (t > 0.0 and t < 1.0):
+                return math.inf, 0.0
+        largest = max(largest, (ex - t * dx) ** 2 + (ey - t * dy) ** 2)
+    return math.sqrt(largest), joint
+
+
+@helper
+def removal_deviation(m, h):
+    """Deviation of the merged edge a-q if the end b of the silhouette edge h = a -> b is removed.
+
+    Returns
+    -------
+    deviation : float, infinity where b is a corner
+    g : the half-edge b -> q
+    """
+    t = m.twin[h]
+    b = m.tail[t]
+    if m.num_silhouettes[b] != 2:
+        return math.inf, -1
+    g = other_silhouette(m, t)
+    tg = m.twin[g]
+    left, right = m.wedge[h] >= 0, m.wedge[t] >= 0
+    if g == t or (left != (m.wedge[g] >= 0)) or (right != (m.wedge[tg] >= 0)):
+        return math.inf, -1  # a seam that runs out into a boundary
+    before = max(m.deviation[h], m.deviation[g])
+    if m.settings[STRICT] == STRICT_NONE:
+        return before, g
+    distance, _ = line_distance(
+        m,
+        m.wedge[h],
+        m.wedge[next_of(t)],
+        m.wedge[next_of(h)],
+        m.wedge[t],
+        m.wedge[next_of(g)],
+        m.wedge[tg],
+        m.settings[STRICT] == STRICT_SEAMLESS and left and right,
+    )
+    return before + distance, g
+
+
+@helper
+def orient(m, h):
+    """Apply the rule table to an edge.
+
+    Returns
+    -------
+    rule : ALLOWED or the reason why not
+    h : the edge's half-edge that starts at the end to keep
+    free_ends : 2 where both ends may move, 1 where the kept one is fixed
+    """
+    t = m.twin[h]
+    a, b = m.tail[h], m.tail[t]
+    infinity = len(m.out) - 1
+    if a == infinity or b == infinity:
+        return VIRTUAL, h, 0
+    if not is_silhouette(m, h):
+        if m.num_silhouettes[a] > 0 and m.num_silhouettes[b] > 0:
+            return TWO_SILHOUETTES, h, 0
+        if m.num_silhouettes[b] > 0:
+            return ALLOWED, t, 1
+        return ALLOWED, h, 1 if m.num_silhouettes[a] > 0 else 2
+    tolerance = m.settings[SEAM_TOLERANCE]
+    drop_b, _ = removal_deviation(m, h)
+    drop_a, _ = removal_deviation(m, t)
+    if drop_b <= tolerance and drop_a <= tolerance:
+        return ALLOWED, h, 2
+    if drop_b <= tolerance:
+        return ALLOWED, h, 1
+    if drop_a <= tolerance:
+        return ALLOWED, t, 1
+    return NO_FREE_END, h, 0
