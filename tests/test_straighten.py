@@ -76,8 +76,8 @@ def check_everything(before: TexturedSurface, result: Straightened, tolerance: f
         )
         assert abs(new_area[chart] - area[chart]) <= 2 * bound + 1e-12
     # No two runs meet, within a chart or between charts.
-    ends, ids, _ = run_segments(chains, joint_points(chains, after.uvs), result.kept)
-    assert not find_meeting_segments(ends, ids, uv_charts[ids[:, 0]], True).any()
+    runs = run_segments(chains, joint_points(chains, after.uvs), result.kept)
+    assert not find_meeting_segments(runs.ends, runs.uv_ids, uv_charts[runs.uv_ids[:, 0]], True).any()
 
 
 def check_runs(result: Straightened) -> None:
@@ -303,8 +303,17 @@ def test_neighbours_keep_charts_apart() -> None:
     assert kept.kept[kept.chains.uv_ids[:, 1] >= 0].sum() > 2
     charts = np.zeros(len(surface.uvs), int)
     charts[surface.face_uvs] = chart_of_faces(surface)[:, None]
-    ends, ids, _ = run_segments(kept.chains, joint_points(kept.chains, kept.surface.uvs), kept.kept)
-    assert not find_meeting_segments(ends, ids, charts[ids[:, 0]], True).any()
+    runs = run_segments(kept.chains, joint_points(kept.chains, kept.surface.uvs), kept.kept)
+    assert not find_meeting_segments(runs.ends, runs.uv_ids, charts[runs.uv_ids[:, 0]], True).any()
+    inside = [c for c in range(2) if _holds(kept.surface, chart_of_faces(kept.surface) == c, chip.mean(axis=0))]
+    assert not inside
+
+
+def _holds(surface: TexturedSurface, faces: np.ndarray, point: np.ndarray) -> bool:
+    """Whether a point lies in one of some faces."""
+    p, q, r = surface.uvs[surface.face_uvs[faces]].transpose(1, 0, 2) - point
+    sides = np.stack([a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0] for a, b in ((p, q), (q, r), (r, p))])
+    return bool(((sides > 0).all(axis=0) | (sides < 0).all(axis=0)).any())
 
 
 def test_distortion_is_bounded() -> None:

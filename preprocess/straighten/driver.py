@@ -168,7 +168,7 @@ def straighten(
     for round_number in range(MOST_ROUNDS):
         kept, fractions = simplify_chains(chains, joint, limits, must_keep, kept, fractions, todo)
         moved = straight_points(joint, kept, fractions)
-        spoiled = find_crossing_points(chains, moved, kept, apartness)
+        spoiled = find_crossing_points(chains, joint, moved, kept, apartness)
         if not spoiled.any():
             result = _remap(surface, chains, moved, kept, most_distortion)
             if not result.is_bad.any() or kept.all():

@@ -123,3 +123,49 @@ def find_meeting_segments(
         rows = (ids[real].astype(np.int64), charts[real].astype(np.int64))
         result[real] = _find_meeting(flat, *rows, keep_apart, float(gap_uv), low, high, order)
     return result
+
+
+@numba.njit(cache=True)
+def find_swept_runs(joint, first, last, sides, run_charts, points, point_charts):  # type: ignore[no-untyped-def]
+    """Which runs passed over a point of another chart on their way from outline to segment.
+
+    Runs that meet nothing may still have swept over a chart that is small enough to lie between the two.
+
+    Parameters
+    ----------
+    joint : (P, 4) float64
+        Chain points as they were.
+    first, last : (R,) int64
+        Ends of the runs among them; the points between lie on the outline.
+    sides : (R,) int64
+        Which pair of columns a run is about.
+    run_charts : (R,) int64
+    points : (N, 2) float64
+        Points that do not move.
+    point_charts : (N,) int64
+
+    Returns
+    -------
+    (R,) bool
+    """
+    swept = np.zeros(len(first), np.bool_)
+    for r in range(len(first)):
+        i, j, column = first[r], last[r], 2 * sides[r]
+        if j == i + 1:
+            continue
+        x0, x1 = joint[i : j + 1, column].min(), joint[i : j + 1, column].max()
+        y0, y1 = joint[i : j + 1, column + 1].min(), joint[i : j + 1, column + 1].max()
+        for n in range(len(points)):
+            x, y = points[n, 0], points[n, 1]
+            if x < x0 or x > x1 or y < y0 or y > y1 or point_charts[n] == run_charts[r]:
+                continue
+            inside = False
+            for k in range(i, j + 1):
+                m = k + 1 if k < j else i
+                ax, ay, bx, by = joint[k, column], joint[k, column + 1], joint[m, column], joint[m, column + 1]
+                if (ay > y) != (by > y) and x < ax + (y - ay) * (bx - ax) / (by - ay):
+                    inside = not inside
+            if inside:
+                swept[r] = True
+                break
+    return swept

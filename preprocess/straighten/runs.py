@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from preprocess.mesh import Floats, TexturedSurface
 from preprocess.straighten.chains import Chains
-from preprocess.straighten.overlap import find_meeting_segments
+from preprocess.straighten.overlap import find_meeting_segments, find_swept_runs
 from preprocess.straighten.simplify import joint_points, run_ends
 
 Bools = NDArray[np.bool_]
@@ -36,20 +36,41 @@ def find_edges_in_long_runs(chains: Chains, kept: Bools) -> Bools:
     return ~(kept[first] & kept[first + 1])
 
 
-def run_segments(chains: Chains, moved: Floats, kept: Bools) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64]]:
-    """Straight segments of all runs on both sides: ends (S, 2, 2), texture vertices (S, 2), first points (S,)."""
+@dataclass(frozen=True)
+class Segments:
+    """The straight segments of all runs, one for each side.
+
+    Attributes
+    ----------
+    ends : (S, 2, 2) float64
+    uv_ids : (S, 2) int64
+        Texture vertices at the ends.
+    first, last : (S,) int64
+        Points of the chains at the ends.
+    sides : (S,) int64
+        0 or 1: which copy of the chain.
+    """
+
+    ends: Floats
+    uv_ids: NDArray[np.int64]
+    first: NDArray[np.int64]
+    last: NDArray[np.int64]
+    sides: NDArray[np.int64]
+
+
+def run_segments(chains: Chains, moved: Floats, kept: Bools) -> Segments:
+    """Segments between kept points, from points in the joint space (P, 4)."""
     starts = np.flatnonzero(kept)
     chain = chains.point_chains[starts]
     same = np.flatnonzero(chain[1:] == chain[:-1])
-    a, b = starts[same], starts[same + 1]
-    ends, ids, firsts = [], [], []
-    for side in range(2):
-        has = chains.uv_ids[a, side] >= 0
-        columns = slice(2 * side, 2 * side + 2)
-        ends.append(np.stack([moved[a[has], columns], moved[b[has], columns]], axis=1))
-        ids.append(np.stack([chains.uv_ids[a[has], side], chains.uv_ids[b[has], side]], axis=1))
-        firsts.append(a[has])
-    return np.concatenate(ends), np.concatenate(ids).astype(np.int64), np.concatenate(firsts).astype(np.int64)
+    first, last = np.tile(starts[same], 2), np.tile(starts[same + 1], 2)
+    sides = np.repeat([0, 1], len(same))
+    uv_ids = np.stack([chains.uv_ids[first, sides], chains.uv_ids[last, sides]], axis=1).astype(np.int64)
+    has = uv_ids[:, 0] >= 0
+    first, last, sides, uv_ids = first[has], last[has], sides[has], uv_ids[has]
+    by_side = moved.reshape(-1, 2, 2)
+    ends = np.stack([by_side[first, sides], by_side[last, sides]], axis=1)
+    return Segments(ends, uv_ids, first, last, sides)
 
 
 @dataclass(frozen=True)
@@ -76,8 +97,8 @@ def find_apartness(
 ) -> Apartness:
     """How far charts are apart now, up to `gap_uv` (halved until it holds); not at all where some overlap already."""
     whole = np.ones(len(chains.vertices), bool)
-    ends, ids, _ = run_segments(chains, joint_points(chains, uvs), whole)
-    charts = uv_charts[ids[:, 0]]
+    segments = run_segments(chains, joint_points(chains, uvs), whole)
+    ends, ids, charts = segments.ends, segments.uv_ids, uv_charts[segments.uv_ids[:, 0]]
     if not keep_packing or find_meeting_segments(ends, ids, charts, True).any():
         return Apartness(uv_charts, False, 0.0)
     gaps = [gap_uv * 0.5**k for k in range(6)]
@@ -85,15 +106,19 @@ def find_apartness(
     return Apartness(uv_charts, True, next(held, 0.0))
 
 
-def find_crossing_points(chains: Chains, moved: Floats, kept: Bools, apartness: Apartness) -> Bools:
-    """Removed points of the runs that meet another run, (P,) bool."""
-    ends, ids, firsts = run_segments(chains, moved, kept)
-    charts = apartness.uv_charts[ids[:, 0]]
-    meets = find_meeting_segments(ends, ids, charts, apartness.keep_apart, apartness.gap_uv)
-    bad_first = np.zeros(len(kept), bool)
-    bad_first[firsts[meets]] = True
+def find_crossing_points(chains: Chains, joint: Floats, moved: Floats, kept: Bools, apartness: Apartness) -> Bools:
+    """Removed points of the runs that meet another run or passed over a chart on their way, (P,) bool."""
+    segments = run_segments(chains, moved, kept)
+    charts = apartness.uv_charts[segments.uv_ids[:, 0]]
+    bad = find_meeting_segments(segments.ends, segments.uv_ids, charts, apartness.keep_apart, apartness.gap_uv)
+    if apartness.keep_apart:
+        _, one = np.unique(charts, return_index=True)  # a point for each chart will do where no outlines meet
+        points = np.ascontiguousarray(segments.ends[one, 0])
+        bad |= find_swept_runs(joint, segments.first, segments.last, segments.sides, charts, points, charts[one])
+    is_bad = np.zeros(len(kept), bool)
+    is_bad[segments.first[bad]] = True
     before, _ = run_ends(kept)
-    return bad_first[before] & ~kept
+    return is_bad[before] & ~kept
 
 
 def pick_farthest_points(joint: Floats, moved: Floats, kept: Bools, bad: Bools) -> Bools:
