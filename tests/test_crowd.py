@@ -1,0 +1,301 @@
+"""Crowds: the same picture as single actors, every choice as its slow twin makes it, and a millisecond a frame."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import moderngl
+import numpy as np
+import pytest
+from builders_animation import random_clip, random_skeleton
+from builders_asset import build_ball
+
+import runtime
+from runtime.bounds import joint_boxes, pose_bounds
+from runtime.crowd import Crowd
+from runtime.crowd_bake import bake_clips, pick_joints
+from runtime.crowd_stage import Stage
+from runtime.lod import choose_levels
+from runtime.pose import sample, skinning_rows
+
+SIZE = 192
+CAMERA = runtime.Camera((0, 7, 12), (0, 0, 0), fovy_deg=45)
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build_ball(tmp_path_factory.mktemp("crowd") / "ball.seamless")
+
+
+@pytest.fixture
+def model(ctx: moderngl.Context, ball: Path) -> Any:
+    model = runtime.Model(ctx, runtime.load(ball))
+    yield model
+    model.release()
+
+
+@pytest.fixture
+def renderer(ctx: moderngl.Context) -> Any:
+    renderer = runtime.Renderer(ctx)
+    yield renderer
+    renderer.release()
+
+
+@pytest.fixture
+def picture(ctx: moderngl.Context, renderer: Any) -> Any:
+    """Function from things to draw to their picture, (H, W, 3) int."""
+    framebuffer = ctx.simple_framebuffer((SIZE, SIZE))
+
+    def draw(things: Any, camera: Any = CAMERA, **options: Any) -> np.ndarray:
+        framebuffer.use()
+        framebuffer.clear(0.2, 0.3, 0.4, 1.0)
+        renderer.draw(things, camera, **options)
+        return np.frombuffer(framebuffer.read(), np.uint8).reshape(SIZE, SIZE, 3)[::-1].astype(int)
+
+    yield draw
+    for attachment in (*framebuffer.color_attachments, framebuffer.depth_attachment):
+        attachment.release()
+    framebuffer.release()
+
+
+def circle(count: int, radius: float = 4.0) -> tuple[np.ndarray, np.ndarray]:
+    """Transforms on a circle, each turned and scaled its own way, every third mirrored; and phases."""
+    matrices = np.tile(np.eye(4), (count, 1, 1))
+    for index in range(count):
+        angle = 2 * np.pi * index / count
+        turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+        mirror = -1.0 if index % 3 == 2 else 1.0
+        matrices[index, :3, :3] = turn @ np.diag([mirror, 1.0, 0.8])
+        matrices[index, :3, 3] = [radius * np.cos(angle), 0, radius * np.sin(angle)]
+    return matrices, np.linspace(0, 0.97, count)
+
+
+@pytest.mark.parametrize("view", ["lit", "base_color", "normal", "depth"])
+def test_a_crowd_looks_like_its_actors(ctx: Any, model: Any, picture: Any, view: str) -> None:
+    matrices, phases = circle(9)
+    crowd = Crowd(ctx, model, 9)
+    crowd.place(matrices)
+    crowd.play("bend", phases_s=phases)
+    crowd.tint(np.linspace([1, 0.5, 0.2], [0.2, 0.5, 1], 9))
+    crowd.update(0.4)
+    actors = [model.actor("bend", transform=matrix, time_s=phase + 0.4) for matrix, phase in zip(matrices, phases)]
+    for actor, tint in zip(actors, np.linspace([1, 0.5, 0.2], [0.2, 0.5, 1], 9)):
+        actor.tint = tint
+    for lod in (0, 2):
+        together = picture([crowd], view=view, lod=lod)
+        alone = picture(actors, view=view, lod=lod, tessellation="off")
+        background = picture([], view=view)
+        assert view == "depth" or (alone != background).any(axis=2).mean() > 0.05
+        # Outlines may fall on the other side of a pixel's centre; inside, colours agree.
+        differs = np.abs(together - alone).max(axis=2) > 6
+        assert differs.mean() < 0.004
+    crowd.release()
+
+
+def test_levels_and_view_are_chosen_as_one_by_one(model: Any, ctx: Any) -> None:
+    rng = np.random.default_rng(0)
+    count = 400
+    crowd = Crowd(ctx, model, count)
+    positions = rng.uniform(-60, 60, size=(count, 3)) * [1, 0.1, 1]
+    scales = rng.uniform(0.3, 3, count)
+    matrices = np.tile(np.eye(4), (count, 1, 1))
+    matrices[:, :3, :3] *= scales[:, None, None]
+    matrices[:, :3, 3] = positions
+    crowd.place(matrices)
+    crowd.play("bend", phases_s=rng.uniform(0, 1, count))
+    camera = CAMERA.matrices(SIZE, SIZE)
+    stage = crowd.stage
+    numbers, view, radii = stage.seen(camera)
+    chosen = stage.choose_levels(
+        numbers, stage.pixels_per_metre(numbers, view, radii, camera, SIZE), crowd.errors_m, 1.0
+    )
+    shown = set(numbers.tolist())
+    sphere = crowd.baked.centres[0], crowd.baked.radii_m[0]
+    rotation = np.eye(4)
+    rotation[:3, :3] = camera.rotation
+    points = rng.normal(size=(500, 3))
+    points *= (sphere[1] * rng.uniform(0, 1, 500) ** (1 / 3) / np.linalg.norm(points, axis=1))[:, None]
+    for actor in range(count):
+        world = (points + sphere[0]) * scales[actor] + positions[actor]
+        clip = np.c_[world - camera.eye, np.ones(len(world))] @ (camera.projection @ rotation).T
+        if (np.abs(clip[:, :3]) < clip[:, 3:]).all(axis=1).any():
+            assert actor in shown, "an actor in view was culled"
+    assert 0 < len(shown) < count
+    for actor, level in zip(numbers, chosen):
+        world = (points + sphere[0]) * scales[actor] + positions[actor]
+        clip = np.c_[world - camera.eye, np.ones(len(world))] @ (camera.projection @ rotation).T
+        if (clip[:, 3] < 0.3).any():
+            continue
+        for direction in np.eye(3):
+            moved = world + direction * crowd.errors_m[level] * scales[actor]
+            after = np.c_[moved - camera.eye, np.ones(len(world))] @ (camera.projection @ rotation).T
+            inside = (np.abs(clip[:, :3]) < clip[:, 3:]).all(axis=1)
+            shift = (after[:, :2] / after[:, 3:] - clip[:, :2] / clip[:, 3:])[inside] * SIZE / 2
+            # First order: a whole step may cross depth as well.
+            assert np.linalg.norm(shift, axis=1).max(initial=0) <= 1.1
+    crowd.release()
+
+
+def test_hysteresis_matches_the_renderers_rule() -> None:
+    skeleton = random_skeleton(2)
+    stage = Stage(bake_clips(skeleton, [], np.array([[[-1.0] * 3, [1.0] * 3]])), 50)
+    rng = np.random.default_rng(3)
+    errors = np.array([0.0, 0.01, 0.03, 0.1])
+    before = np.full(50, -1)
+    for _ in range(6):
+        scale_px = rng.uniform(1, 300, 50)
+        chosen = stage.choose_levels(np.arange(50), scale_px, errors, 1.0)
+        wanted = choose_levels(errors, scale_px, 1.0, before)
+        assert (chosen == wanted).all()
+        before = wanted
+
+
+def test_bakes_hold_their_clips_and_end_where_they_end() -> None:
+    skeleton = random_skeleton(6, 4)
+    clips = [random_clip(skeleton, seed, ("LINEAR",)) for seed in range(3)]
+    points = np.random.default_rng(1).normal(size=(30, 3))
+    indices = np.arange(30)[:, None] % skeleton.num_joints
+    boxes = joint_boxes(points, indices, np.ones((30, 1)), skeleton.num_joints)
+    baked = bake_clips(skeleton, clips, boxes)
+    assert baked.names == ("random", "random", "random", "rest")
+    for number, clip in enumerate(clips):
+        first, last = baked.first_row[number], baked.first_row[number] + baked.num_rows[number] - 1
+        for row, moment in ((first, 0.0), (last, clip.duration_s)):
+            exact = skinning_rows(skeleton, sample(clip, skeleton, moment))[0]
+            np.testing.assert_allclose(baked.matrices[row], exact, atol=1e-5 * np.abs(exact).max())
+        assert baked.rates_hz[number] >= 60
+        each = pose_bounds(baked.matrices[first : last + 1], boxes)
+        corners = np.concatenate([each[:, 0], each[:, 1]])
+        assert (np.linalg.norm(corners - baked.centres[number], axis=1) <= baked.radii_m[number]).all()
+    with pytest.raises(ValueError, match="fewer clips"):
+        bake_clips(skeleton, clips, boxes, max_rows=5)
+    assert len(bake_clips(skeleton, clips, boxes, max_rows=40).matrices) <= 40
+
+
+def test_the_strongest_joints_are_kept() -> None:
+    joints = np.arange(12)[None].repeat(2, axis=0)
+    weights = np.array([[0.5, 0.3, 0.2, *[0] * 9], [0.2, 0.2, 0.15, 0.15, 0.1, 0.1, 0.05, 0.04, 0.01, 0, 0, 0]])
+    few, amounts = pick_joints(joints[:1], weights[:1])
+    assert few.tolist() == [[0, 1, 2, 0]] and amounts[0].tolist() == pytest.approx([0.5, 0.3, 0.2, 0])
+    many, amounts = pick_joints(joints, weights)
+    assert many.shape == (2, 8)
+    np.testing.assert_allclose(amounts.sum(axis=1), 1, atol=1e-6)
+    one, amounts = pick_joints(np.array([[3]]), np.array([[1.0]]))
+    assert one.tolist() == [[3, 0, 0, 0]] and amounts.tolist() == [[1, 0, 0, 0]]
+
+
+def test_clips_phases_and_speeds(ctx: Any, model: Any) -> None:
+    crowd = Crowd(ctx, model, 4)
+    crowd.play("bend", phases_s=[0, 0.25, 0.5, 0.9], speeds=[1, 1, -1, 2])
+    crowd.update(0.3)
+    crowd.play("bend", which=[3], phases_s=0.1, loop=False)
+    crowd.update(0.3)
+    baked = crowd.baked
+    places = (crowd.stage.pose_rows(np.arange(4)) - baked.first_row[0]) / baked.rates_hz[0]
+    np.testing.assert_allclose(places, [0.6, 0.85, 0.9, 0.4], atol=1e-9)
+    crowd.update(1000)
+    assert crowd.stage.pose_rows(np.array([3]))[0] == baked.first_row[0] + baked.num_rows[0] - 1
+    crowd.play(1, which=slice(0, 2))
+    assert (crowd.stage.pose_rows(np.arange(2)) == baked.first_row[1]).all()
+    crowd.release()
+
+
+def test_hidden_actors_and_no_actors_draw_nothing(ctx: Any, model: Any, picture: Any) -> None:
+    crowd, nobody = Crowd(ctx, model, 2), Crowd(ctx, model, 0)
+    background = picture([])
+    assert (picture([nobody]) == background).all()
+    assert (picture([crowd]) != background).any()
+    crowd.show(False, [0])
+    assert (picture([crowd]) != background).any()
+    crowd.show([False, False])
+    assert (picture([crowd]) == background).all()
+    crowd.show(True)
+    crowd.visible = False
+    assert (picture([crowd]) == background).all()
+    crowd.visible = True
+    away = np.eye(4)
+    away[2, 3] = 1000
+    crowd.place(away)
+    assert (picture([crowd]) == background).all()
+    for thing in (crowd, nobody):
+        thing.release()
+        thing.release()
+
+
+def test_misuse_says_what_to_do(ctx: Any, model: Any, picture: Any, renderer: Any) -> None:
+    crowd = Crowd(ctx, model, 3)
+    before = crowd.stage._rows.copy()
+    broken = np.tile(np.eye(4), (3, 1, 1))
+    broken[1, 0, 0] = np.nan
+    for wrong, message in (
+        (lambda: crowd.place(broken), "actor 1 of those placed is not finite"),
+        (lambda: crowd.place(np.eye(3)), r"\(4, 4\) or \(3, 4, 4\)"),
+        (lambda: crowd.play("fly"), "no clip 'fly'"),
+        (lambda: crowd.play([0, 7, 0]), "no clip 7"),
+        (lambda: crowd.play(0, phases_s=np.inf), "finite"),
+        (lambda: crowd.update(float("inf")), "frame clock"),
+        (lambda: crowd.tint((1, 2)), "three or four"),
+        (lambda: crowd.show(True, [5]), "numbers 0 to 2"),
+        (lambda: Crowd(ctx, model, -1), "makes no sense"),
+        (lambda: Crowd(ctx, model, 1, clips=["fly"]), "no clip 'fly'"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            wrong()
+    assert (crowd.stage._rows == before).all()
+    crowd.release()
+    with pytest.raises(runtime.RenderError, match="crowd was released"):
+        picture([crowd])
+
+
+def test_another_context_is_refused(ctx: Any, ball: Path, renderer: Any) -> None:
+    other = moderngl.create_context(standalone=True, backend="egl")
+    try:
+        foreign = runtime.Model(other, runtime.load(ball))
+        with pytest.raises(runtime.RenderError, match="another context"):
+            Crowd(ctx, foreign, 1)
+        crowd = Crowd(other, foreign, 1)
+        ctx.__enter__()
+        with pytest.raises(runtime.RenderError, match="another context"):
+            renderer.draw([crowd], CAMERA)
+    finally:
+        other.release()
+    ctx.__enter__()
+    crowd.release()  # its context is gone: nothing to do, nothing raised
+
+
+def test_thousands_of_crowds_leave_nothing_behind(ctx: Any, model: Any) -> None:
+    for _ in range(60):
+        Crowd(ctx, model, 10).release()
+
+
+def test_a_frame_of_ten_thousand_takes_under_3_ms(ctx: Any, model: Any) -> None:
+    count = 10_000
+    crowd = Crowd(ctx, model, count)
+    side = np.arange(100) * 2.0
+    positions = np.stack(np.meshgrid(side - 100, [0.0], -side), axis=-1).reshape(-1, 3)
+    crowd.place_on_ground(positions, np.linspace(0, 60, count))
+    crowd.play("bend", phases_s=np.linspace(0, 30, count))
+    camera = runtime.Camera((0, 30, 60), (0, 0, -60), fovy_deg=60).matrices(1920, 1080)
+    spent = []
+    for _ in range(15):
+        start = time.process_time()
+        crowd.update(1 / 60)
+        selection = crowd.stage.select(camera, 1080, crowd.errors_m, crowd._nearest_row, 1.0)
+        crowd._write_instances(selection)
+        spent.append(time.process_time() - start)
+    assert len(selection.records) > 9000
+    assert min(spent) < 0.003, f"{min(spent) * 1e3:.2f} ms"
+    crowd.release()
+
+
+def test_a_hundred_thousand_still_run(ctx: Any, model: Any, picture: Any) -> None:
+    crowd = Crowd(ctx, model, 100_000)
+    side = np.arange(316) * 2.0
+    positions = np.stack(np.meshgrid(side - 316, [0.0], 10 - side), axis=-1).reshape(-1, 3)
+    crowd.place_on_ground(positions, 0.0, which=slice(0, len(positions)))
+    crowd.play("bend")
+    crowd.show(np.arange(100_000) % 40 == 0)
+    assert (picture([crowd]) != picture([])).any()
+    crowd.release()
