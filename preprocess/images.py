@@ -19,8 +19,9 @@ class Image:
 
     Attributes
     ----------
-    texels : (H, W, C) float32 or float64
-        Integer formats are scaled to [0, 1]; float formats are as stored.
+    texels : (H, W, C) float32 or float64, uint8 or uint16
+        Integer formats are scaled to [0, 1], or kept as stored (`read_image` with native); float formats are as
+        stored.
     format : str
         Stored type of a channel: "uint8", "uint16", "half" or "float".
     channel_names : tuple of str
@@ -39,7 +40,7 @@ class Image:
         return {"uint8": 255, "uint16": 65535}.get(self.format, 0)
 
 
-def read_image(source: Path | bytes, what: str = "image") -> Image:
+def read_image(source: Path | bytes, what: str = "image", *, native: bool = False) -> Image:
     """Decode an image file, or the bytes of one.
 
     Parameters
@@ -47,6 +48,8 @@ def read_image(source: Path | bytes, what: str = "image") -> Image:
     source : Path or bytes
     what : str
         How error messages name the image.
+    native : bool
+        Keep 8- and 16-bit integers as they are.
 
     Raises
     ------
@@ -57,7 +60,7 @@ def read_image(source: Path | bytes, what: str = "image") -> Image:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / _guess_name(source)
             path.write_bytes(source)
-            return read_image(path, what)
+            return read_image(path, what, native=native)
     import OpenImageIO as oiio
 
     if not source.is_file():
@@ -71,7 +74,8 @@ def read_image(source: Path | bytes, what: str = "image") -> Image:
     try:
         spec = reader.spec()
         stored = str(spec.format)
-        texels = reader.read_image(0, 0, 0, spec.nchannels, "float")
+        kept = native and stored in ("uint8", "uint16")
+        texels = reader.read_image(0, 0, 0, spec.nchannels, stored if kept else "float")
         if texels is None:
             raise InputError(f"{what} does not decode ({reader.geterror().splitlines()[0]}): it is damaged")
     finally:
@@ -79,7 +83,7 @@ def read_image(source: Path | bytes, what: str = "image") -> Image:
     fmt = {"uint8": "uint8", "uint16": "uint16", "half": "half", "float": "float", "double": "float"}.get(stored)
     if fmt is None:
         raise InputError(f"{what} stores {stored} texels: convert it to 8 or 16 bits or to float")
-    texels = np.asarray(texels, np.float32).reshape(spec.height, spec.width, spec.nchannels)
+    texels = np.asarray(texels, stored if kept else np.float32).reshape(spec.height, spec.width, spec.nchannels)
     return Image(texels, fmt, tuple(spec.channelnames), spec)
 
 
@@ -104,7 +108,9 @@ def write_image(path: Path, image: Image) -> None:
     texels = image.texels
     height, width, channels = texels.shape
     dtype: Any
-    if image.levels:
+    if texels.dtype.kind == "u":
+        data = texels
+    elif image.levels:
         dtype = np.uint8 if image.levels == 255 else np.uint16
         data = np.clip(np.rint(texels.astype(np.float64) * image.levels), 0, image.levels).astype(dtype)
     else:
