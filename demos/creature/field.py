@@ -1,0 +1,178 @@
+"""Implicit solids and their smooth union: the clay that the body is modelled in.
+
+A solid gives an (almost) signed distance, negative inside. Solids are joined one after the other by a quadratic
+smooth minimum of a chosen radius; a carving solid is taken away by the matching smooth maximum. The same blend
+factors mix region names, so that every point of the skin knows how much of it is muzzle, ear or claw.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Vec = tuple[float, float, float]
+
+# Points are visited in cubes of this size, so that far solids can be left out.
+_CHUNK_M = 0.09
+# No two solids further apart than this blend.
+_REACH_M = 0.12
+
+
+@dataclass(frozen=True)
+class Cone:
+    """A cone with round ends, from a sphere at `a` to a sphere at `b`, optionally flattened along an axis."""
+
+    a: Vec
+    b: Vec
+    radius_a: float
+    radius_b: float
+    flat_axis: Vec | None = None
+    flatness: float = 1.0
+
+    def distance(self, points: Floats) -> Floats:
+        """Signed distance of (N, 3) points in metres, exact when not flattened."""
+        a, b = np.array(self.a), np.array(self.b)
+        local = points - a
+        axis = b - a
+        if self.flat_axis is not None:
+            normal = np.array(self.flat_axis) / np.linalg.norm(self.flat_axis)
+            stretch = 1.0 / self.flatness - 1.0
+            local = local + np.outer(local @ normal * stretch, normal)
+            axis = axis + axis @ normal * stretch * normal
+        length = float(np.linalg.norm(axis))
+        axis = axis / length
+        along = local @ axis
+        across = np.sqrt(np.maximum((local * local).sum(axis=1) - along * along, 0.0))
+        # The nearest of the spheres that sweep the cone: its contact direction leans by asin(slope).
+        slope = np.clip((self.radius_a - self.radius_b) / length, -0.95, 0.95)
+        t = np.clip((along - across * slope / np.sqrt(1.0 - slope * slope)) / length, 0.0, 1.0)
+        from_centre = local - np.outer(t * length, axis)
+        size = np.sqrt((from_centre * from_centre).sum(axis=1))
+        distance = size - (self.radius_a + t * (self.radius_b - self.radius_a))
+        if self.flat_axis is not None:
+            thin = (from_centre @ normal) / np.maximum(size, 1e-9)
+            distance = distance / np.sqrt(1.0 + thin * thin * (1.0 / self.flatness**2 - 1.0))
+        return distance
+
+
+@dataclass(frozen=True)
+class Ellipsoid:
+    """An ellipsoid, optionally turned about the x axis (`pitch`), then y (`yaw`), then z (`roll`), in degrees."""
+
+    centre: Vec
+    radii: Vec
+    pitch: float = 0.0
+    yaw: float = 0.0
+    roll: float = 0.0
+
+    def distance(self, points: Floats) -> Floats:
+        """Distance of (N, 3) points in metres, exact to first order at the surface."""
+        local = points - np.array(self.centre)
+        if self.pitch or self.yaw or self.roll:
+            local = local @ _turn(self.pitch, self.yaw, self.roll)
+        scaled = local / np.array(self.radii)
+        size = np.sqrt((scaled * scaled).sum(axis=1))
+        steep = scaled / np.array(self.radii)
+        slope = np.sqrt((steep * steep).sum(axis=1))
+        return np.where(slope < 1e-9, -min(self.radii), size * (size - 1.0) / np.maximum(slope, 1e-9))
+
+
+def _turn(pitch: float, yaw: float, roll: float) -> Floats:
+    (cx, cy, cz), (sx, sy, sz) = np.cos(np.radians([pitch, yaw, roll])), np.sin(np.radians([pitch, yaw, roll]))
+    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    return about_z @ about_y @ about_x
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One solid of the body: the region it belongs to, its blend radius in metres, and whether it is carved out."""
+
+    region: str
+    solid: Cone | Ellipsoid
+    blend: float
+    carve: bool = False
+
+
+@dataclass(frozen=True)
+class Field:
+    """An ordered list of pieces, mirrored in the plane x = 0."""
+
+    pieces: tuple[Piece, ...]
+
+    @property
+    def regions(self) -> tuple[str, ...]:
+        """Region names in order of first use."""
+        return tuple(dict.fromkeys(piece.region for piece in self.pieces))
+
+    def distance(self, points: Floats) -> Floats:
+        """Signed distance of (N, 3) points to the skin, metres, negative inside."""
+        return self._evaluate(points, False)[0]
+
+    def regions_at(self, points: Floats) -> Floats:
+        """How much of each region (N, 3) points near the skin belong to: (N, R), rows summing to one."""
+        return self._evaluate(points, True)[1]
+
+    def gradient(self, points: Floats, step_m: float = 1e-4) -> Floats:
+        """Gradient of the distance by differences at the corners of a small tetrahedron, (N, 3)."""
+        corners = np.array([[1, -1, -1], [-1, -1, 1], [-1, 1, -1], [1, 1, 1]]) * step_m
+        values = self.distance((points[:, None] + corners).reshape(-1, 3)).reshape(-1, 4)
+        return values @ corners / (4.0 * step_m * step_m)
+
+    def project(self, points: Floats, rounds: int = 2) -> Floats:
+        """Move (N, 3) points near the skin onto it along the gradient."""
+        for _ in range(rounds):
+            gradient = self.gradient(points)
+            length_sq = np.maximum((gradient * gradient).sum(axis=1), 0.05)
+            move = (self.distance(points) / length_sq)[:, None] * gradient
+            points = points - np.clip(move, -0.01, 0.01)
+        return points
+
+    def _evaluate(self, points: Floats, with_regions: bool) -> tuple[Floats, Floats]:
+        folded = points * np.array([1.0, 1.0, 1.0])
+        folded[:, 0] = np.abs(folded[:, 0])
+        distance = np.empty(len(points))
+        mix = np.empty((len(points), len(self.regions) if with_regions else 0))
+        for rows, near in self._chunks(folded):
+            distance[rows], mix[rows] = self._blend(folded[rows], near, with_regions)
+        return distance, mix
+
+    def _chunks(self, folded: Floats) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+        """Points gathered in cubes, each with the pieces that can matter there."""
+        if not len(folded):
+            return []
+        cells = np.floor(folded / _CHUNK_M).astype(np.int64) + 512
+        keys = (cells[:, 0] * 1024 + cells[:, 1]) * 1024 + cells[:, 2]
+        order = np.argsort(keys, kind="stable")
+        starts = np.flatnonzero(np.r_[True, np.diff(keys[order]) > 0])
+        groups = np.split(order, starts[1:])
+        centres = (cells[order[starts]] - 512 + 0.5) * _CHUNK_M
+        radius = 0.5 * np.sqrt(3.0) * _CHUNK_M
+        at_centre = np.stack([piece.solid.distance(centres) for piece in self.pieces])
+        carve = np.array([piece.carve for piece in self.pieces])
+        nearest = at_centre[~carve].min(axis=0)
+        limit = np.where(carve[:, None], radius + 0.03, nearest + 2.0 * radius + _REACH_M)
+        return [(rows, np.flatnonzero(keep)) for rows, keep in zip(groups, (at_centre <= limit).T)]
+
+    def _blend(self, points: Floats, near: NDArray[np.int64], with_regions: bool) -> tuple[Floats, Floats]:
+        names = self.regions
+        distance = np.full(len(points), 10.0)
+        mix = np.zeros((len(points), len(names) if with_regions else 0))
+        for index in near:
+            piece = self.pieces[index]
+            other = piece.solid.distance(points)
+            if piece.carve:
+                other = -other
+                share = np.clip(0.5 + 0.5 * (other - distance) / piece.blend, 0.0, 1.0)
+                distance = distance + (other - distance) * share + piece.blend * share * (1.0 - share)
+            else:
+                share = np.clip(0.5 + 0.5 * (distance - other) / piece.blend, 0.0, 1.0)
+                distance = distance + (other - distance) * share - piece.blend * share * (1.0 - share)
+            if with_regions:
+                mix *= (1.0 - share)[:, None]
+                mix[:, names.index(piece.region)] += share
+        return distance, mix
