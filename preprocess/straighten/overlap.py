@@ -29,7 +29,7 @@ def _turn(ax, ay, bx, by, cx, cy):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _meet(p, q, ids_p, ids_q):  # type: ignore[no-untyped-def]
-    """Whether segments p and q (ends as x0, y0, x1, y1) overlap where they should not."""
+    """Whether segments p and q (ends as x0, y0, x1, y1), whose boxes overlap, meet where they should not."""
     shared = -1
     for a in range(2):
         for b in range(2):
@@ -83,7 +83,8 @@ def _find_meeting(segments, ids, charts, keep_apart, gap, low, high, order):  # 
             same = charts[p] == charts[q]
             if not same and not keep_apart:
                 continue
-            bad = _meet(segments[p], segments[q], ids[p], ids[q])
+            near = low[q, 0] <= high[p, 0] and low[q, 1] <= high[p, 1] and low[p, 1] <= high[q, 1]
+            bad = near and _meet(segments[p], segments[q], ids[p], ids[q])
             if not bad and not same and gap > 0.0:
                 bad = _distance_sq(segments[p], segments[q]) < gap * gap
             if bad:
