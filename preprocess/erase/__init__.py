@@ -10,6 +10,7 @@ from preprocess.erase.eraser import (
     erase,
     plan_erasure,
 )
+from preprocess.erase.faults import Decision, choose_color_seams, choose_normal_seams, draw_decision
 from preprocess.erase.mips import Level, erase_mips
 from preprocess.erase.quantise import quantise
 from preprocess.erase.strip import SeamMeasure, SeamStrip, build_strip, measure_seams
@@ -17,6 +18,7 @@ from preprocess.erase.strip import SeamMeasure, SeamStrip, build_strip, measure_
 __all__ = [
     "GLOBAL",
     "LOCAL",
+    "Decision",
     "EraseOptions",
     "Erased",
     "Eraser",
@@ -25,6 +27,9 @@ __all__ = [
     "SeamStrip",
     "Weights",
     "build_strip",
+    "choose_color_seams",
+    "choose_normal_seams",
+    "draw_decision",
     "erase",
     "erase_mips",
     "measure_seams",

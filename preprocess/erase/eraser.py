@@ -105,6 +105,9 @@ class EraseOptions:
     seam_weight: float | None = None
 
 
+DEFAULT_OPTIONS = EraseOptions()
+
+
 @dataclass(frozen=True)
 class Erased:
     """A texture without seams.
@@ -336,7 +339,7 @@ def plan_erasure(
     seams: Seams,
     width: int,
     height: int,
-    options: EraseOptions = EraseOptions(),
+    options: EraseOptions = DEFAULT_OPTIONS,
     *,
     sample_uvs: Floats | None = None,
 ) -> Eraser:
@@ -403,7 +406,7 @@ def erase(
     texels: Floats,
     surface: TexturedSurface,
     seams: Seams,
-    options: EraseOptions = EraseOptions(),
+    options: EraseOptions = DEFAULT_OPTIONS,
     *,
     sample_uvs: Floats | None = None,
     sample_values: Floats | None = None,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from preprocess.erase.eraser import EraseOptions, Eraser, plan_erasure
+from preprocess.erase.eraser import DEFAULT_OPTIONS, EraseOptions, Eraser, plan_erasure
 from preprocess.erase.quantise import quantise
 from preprocess.erase.strip import SeamMeasure
 from preprocess.mesh import Floats, TexturedSurface
@@ -107,7 +107,7 @@ def erase_mips(
     texels: Floats,
     surface: TexturedSurface,
     seams: Seams,
-    options: EraseOptions = EraseOptions(),
+    options: EraseOptions = DEFAULT_OPTIONS,
     *,
     levels: int = 0,
     srgb_channels: int = 0,
