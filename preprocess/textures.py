@@ -19,10 +19,10 @@ from preprocess.erase import (
     LOCAL,
     EraseOptions,
     Eraser,
-    build_strip,
+    SeamMeasure,
+    erase_mips,
     measure_seams,
     plan_erasure,
-    quantise,
 )
 from preprocess.gltf import Character
 from preprocess.gltf.tangents import corner_tangents
@@ -91,7 +91,8 @@ class TextureStage:
         self.seams: Seams = find_seams(self.mesh.surface)
         self.creases = find_creases(self.mesh, self.seams)
         self._coverage: dict[tuple[int, int], Coverage] = {}
-        self._erasers: dict[tuple[Any, ...], Eraser] = {}
+        self._geometry_erasers: dict[tuple[int, int], Eraser] = {}
+        self._plans: dict[bytes, dict[tuple[int, int], Eraser]] = {}
 
     def cover(self, width: int, height: int) -> Coverage:
         """The atlas rasterised at a size, once."""
@@ -100,15 +101,18 @@ class TextureStage:
             self._coverage[size] = cover_atlas(self.mesh, width, height)
         return self._coverage[size]
 
-    def eraser(self, size: tuple[int, int], joined: NDArray[np.bool_] | None, at_vertices: bool) -> Eraser:
-        """The erasure of a size, a choice of seams, and with or without known values at the vertices, once."""
-        key = (size, None if joined is None else joined.tobytes(), at_vertices)
-        if key not in self._erasers:
-            weights = GLOBAL if self.settings.seams == "global" else LOCAL
-            options = EraseOptions(weights=weights, joined=joined, seam_weight=SEAM_WEIGHT)
-            uvs = self.mesh.surface.uvs if at_vertices else None
-            self._erasers[key] = plan_erasure(self.mesh.surface, self.seams, *size, options, sample_uvs=uvs)
-        return self._erasers[key]
+    def options(self, joined: NDArray[np.bool_] | None) -> EraseOptions:
+        """How seams are erased here."""
+        weights = GLOBAL if self.settings.seams == "global" else LOCAL
+        return EraseOptions(weights=weights, joined=joined, seam_weight=SEAM_WEIGHT)
+
+    def geometry_eraser(self, size: tuple[int, int]) -> Eraser:
+        """The erasure of positions and weights: all seams joined, values known at the vertices. Once a size."""
+        if size not in self._geometry_erasers:
+            self._geometry_erasers[size] = plan_erasure(
+                self.mesh.surface, self.seams, *size, self.options(None), sample_uvs=self.mesh.surface.uvs
+            )
+        return self._geometry_erasers[size]
 
     def build(self) -> list[StoredTexture]:
         """Every texture of the character."""
@@ -120,8 +124,9 @@ class TextureStage:
         size = (side, side)
         values = vertex_values(self.mesh, self.mesh.surface.positions)
         baked = bake_positions(self.mesh, size)
-        erased = self.eraser(size, None, True).erase(baked, sample_values=values).texels
-        return self._store("position", baked, erased, "float", None, mips=False)
+        erased = self.geometry_eraser(size).erase(baked, sample_values=values).texels
+        stored = erased.astype(np.float32)
+        return StoredTexture("position", (stored,), "float", size, self._seam(baked, erased, stored))
 
     def weights(self) -> StoredTexture:
         """Joint weights, 8 bits each (16 with more than 256 joints), a partition of unity as stored."""
@@ -132,10 +137,10 @@ class TextureStage:
         used = np.flatnonzero(baked.max(axis=(0, 1)) > 0)
         values = vertex_values(self.mesh, self.mesh.dense_weights(num_joints)[:, used])
         erased = np.zeros_like(baked)
-        erased[..., used] = self.eraser(size, None, True).erase(baked[..., used], sample_values=values).texels
+        erased[..., used] = self.geometry_eraser(size).erase(baked[..., used], sample_values=values).texels
         packed = pack_weights(np.clip(erased, 0.0, None))
         stored = unpack_weights(packed.stack, size, num_joints)
-        seam = self._seam(baked, erased, [stored], None)
+        seam = self._seam(baked, erased, stored)
         extra = {"layout": "texel-joints", "slots": packed.slots}
         return StoredTexture("weights", (packed.texels01,), packed.format, size, seam, extra)
 
@@ -146,10 +151,7 @@ class TextureStage:
         if any(material.normal is not None for material in self.character.materials):
             tangents = corner_tangents(self.mesh, self._normal_texcoord())
         baked = bake_normals(self.character, self.mesh, tangents, self.cover(side, side))
-        joined = ~self.creases
-        erased = self.eraser((side, side), joined, False).erase(baked).texels
-        half = 0.5 * np.array([baked, erased]) + 0.5
-        return self._store("normal", half[0], half[1], "uint16", joined, mips=True)
+        return self._store("normal", 0.5 * baked + 0.5, "uint16", 0, ~self.creases)
 
     def _normal_size(self) -> int:
         maps = [material.normal for material in self.character.materials]
@@ -164,10 +166,8 @@ class TextureStage:
         return [self._material(texture) for texture in baked]
 
     def _material(self, texture: BakedTexture) -> StoredTexture:
-        height, width = texture.texels.shape[:2]
-        joined = self._joined_colors(texture)
-        erased = self.eraser((width, height), joined, False).erase(texture.texels).texels
-        return self._store(texture.name, texture.texels, erased, texture.format, joined, mips=True)
+        srgb_channels = 3 if texture.is_color else 0
+        return self._store(texture.name, texture.texels, texture.format, srgb_channels, self._joined_colors(texture))
 
     def _joined_colors(self, texture: BakedTexture) -> NDArray[np.bool_] | None:
         """Seams whose colours are joined: all, unless the sides differ by more than a painted border's threshold."""
@@ -177,47 +177,39 @@ class TextureStage:
         return jump <= self.settings.keep_borders
 
     def _store(
-        self,
-        name: str,
-        baked: Floats,
-        erased: Floats,
-        stored_format: str,
-        joined: NDArray[np.bool_] | None,
-        mips: bool,
+        self, name: str, baked: Floats, stored_format: str, srgb_channels: int, joined: NDArray[np.bool_] | None
     ) -> StoredTexture:
-        """Round a solution to its format so that the stored texels stay seamless."""
-        height, width = erased.shape[:2]
-        levels = [self._round(erased, (width, height), stored_format, joined)]
-        seam = self._seam(baked, erased, levels, joined)
-        return StoredTexture(name, tuple(levels), stored_format, (width, height), seam)
-
-    def _round(
-        self, erased: Floats, size: tuple[int, int], stored_format: str, joined: NDArray[np.bool_] | None
-    ) -> NDArray[Any]:
-        steps = STEPS.get(stored_format)
-        if steps is None:
-            return erased.astype(np.float32)
-        eraser = self.eraser(size, joined, False)
-        lengths = self.seams.lengths_m if joined is None else self.seams.lengths_m[joined]
-        return quantise(erased, build_strip(eraser.intervals, lengths), steps) / float(steps)
-
-    def _seam(
-        self, baked: Floats, erased: Floats, stored: list[NDArray[Any]], joined: NDArray[np.bool_] | None
-    ) -> dict[str, Any]:
-        """Jump across the joined seams before, after and as stored."""
-
-        def measure(texels: NDArray[Any]) -> dict[str, float]:
-            result = measure_seams(texels, self.mesh.surface, self.seams, joined=joined)
-            return {"rms": float(np.sqrt(result.total.sum())), "max": float(result.max.max(initial=0.0))}
-
+        """Erase a texture and its mip levels, rounded so that what is stored is seamless."""
+        key = b"" if joined is None else joined.tobytes()
+        levels = erase_mips(
+            baked,
+            self.mesh.surface,
+            self.seams,
+            self.options(joined),
+            levels=STEPS[stored_format],
+            srgb_channels=srgb_channels,
+            plans=self._plans.setdefault(key, {}),
+        )
         seam: dict[str, Any] = {
-            "before": measure(baked),
-            "after": measure(erased),
-            "stored": [measure(level) for level in stored],
+            "before": _jump(levels[0].before),
+            "after": _jump(levels[0].after),
+            "stored": [_jump(level.stored) for level in levels],
         }
         if joined is not None:
             seam["left"] = int((~joined).sum())
-        return seam
+        texels = tuple(level.texels / float(STEPS[stored_format]) for level in levels)
+        height, width = baked.shape[:2]
+        return StoredTexture(name, texels, stored_format, (width, height), seam)
+
+    def _seam(self, baked: Floats, erased: Floats, stored: NDArray[Any]) -> dict[str, Any]:
+        """Jump across all seams before, after and as stored."""
+        before, after, kept = (_jump(measure_seams(t, self.mesh.surface, self.seams)) for t in (baked, erased, stored))
+        return {"before": before, "after": after, "stored": [kept]}
+
+
+def _jump(measure: SeamMeasure) -> dict[str, float]:
+    """Root mean square over the seams' length of the jump's norm, and the largest jump of any channel."""
+    return {"rms": float(np.sqrt(measure.total.sum())), "max": float(measure.max.max(initial=0.0))}
 
 
 def find_creases(mesh: SkinnedMesh, seams: Seams) -> NDArray[np.bool_]:
