@@ -10,73 +10,69 @@ from preprocess.decimate.placement import best_cost, joint_line, pose_position, 
 from preprocess.decimate.quadrics import add_rows
 from preprocess.decimate.rules import (
     ALLOWED,
+    BLOCKED,
     COLLAPSES,
     FACES_LEFT,
     FLIP,
+    HEAP_SIZE,
     LINK,
+    NUM_BLOCKED,
+    OUT,
+    POSE_QUADRIC,
+    POSE_ROTATION,
+    POSE_SIZE,
+    PRICED,
     SEAM_TOLERANCE,
     is_silhouette,
     orient,
     other_silhouette,
     removal_deviation,
 )
-from preprocess.decimate.topology import next_of, previous_of
+from preprocess.decimate.topology import TAIL, TWIN, WEDGE, next_of, previous_of
 from preprocess.decimate.validity import link_holds, placement_holds
 
 
 @helper
 def price(m, h):
     """Put an edge into the heap at its cost, or take it out where the table forbids it."""
-    item = min(h, m.twin[h])
+    item = min(h, m.links[h, TWIN])
     rule, kept, free_ends = orient(m, item)
     if rule != ALLOWED:
-        heap_remove(m.heap, item)
+        heap_remove(m.heap_cost, m.heap_item, m.links, m.counter, item)
         return
     cost = best_cost(m, propose(m, kept, free_ends, False))
     if cost < math.inf:
-        heap_set(m.heap, item, cost)
+        heap_set(m.heap_cost, m.heap_item, m.links, m.counter, item, cost)
     else:
-        heap_remove(m.heap, item)
-
-
-@entry
-def price_all(m):
-    """Fill the heap."""
-    for h in range(len(m.tail)):
-        m.blocked[h] = 0
-    for v in range(len(m.num_blocked)):
-        m.num_blocked[v] = 0
-    for h in range(len(m.tail)):
-        if m.tail[h] >= 0 and h < m.twin[h]:
-            price(m, h)
+        heap_remove(m.heap_cost, m.heap_item, m.links, m.counter, item)
 
 
 @helper
 def block(m, h):
     """Remember that an edge cannot collapse until something around it changes."""
-    item = min(h, m.twin[h])
-    if m.blocked[item] == 0:
-        m.blocked[item] = 1
-        m.num_blocked[m.tail[item]] += 1
-        m.num_blocked[m.tail[m.twin[item]]] += 1
+    item = min(h, m.links[h, TWIN])
+    if m.links[item, BLOCKED] == 0:
+        m.links[item, BLOCKED] = 1
+        m.vertices[m.links[item, TAIL], NUM_BLOCKED] += 1
+        m.vertices[m.links[m.links[item, TWIN], TAIL], NUM_BLOCKED] += 1
 
 
 @helper
 def unblock_around(m, v, again):
     """Forget that about all edges at a vertex; with `again`, put them back into the heap."""
-    if m.num_blocked[v] == 0:
+    if m.vertices[v, NUM_BLOCKED] == 0:
         return
-    start = m.out[v]
+    start = m.vertices[v, OUT]
     g = start
     while True:
-        item = min(g, m.twin[g])
-        if m.blocked[item] != 0:
-            m.blocked[item] = 0
-            m.num_blocked[m.tail[item]] -= 1
-            m.num_blocked[m.tail[m.twin[item]]] -= 1
+        item = min(g, m.links[g, TWIN])
+        if m.links[item, BLOCKED] != 0:
+            m.links[item, BLOCKED] = 0
+            m.vertices[m.links[item, TAIL], NUM_BLOCKED] -= 1
+            m.vertices[m.links[m.links[item, TWIN], TAIL], NUM_BLOCKED] -= 1
             if again:
                 price(m, item)
-        g = m.twin[previous_of(g)]
+        g = m.links[previous_of(g), TWIN]
         if g == start:
             return
 
@@ -84,8 +80,8 @@ def unblock_around(m, v, again):
 @helper
 def _join(m, x, y):
     """Make twins of two half-edges whose faces between them are gone."""
-    m.twin[x] = y
-    m.twin[y] = x
+    m.links[x, TWIN] = y
+    m.links[y, TWIN] = x
     deviation = max(m.deviation[x], m.deviation[y])
     m.deviation[x] = deviation
     m.deviation[y] = deviation
@@ -94,17 +90,34 @@ def _join(m, x, y):
 @helper
 def _spread_deviation(m, h, free_ends):
     """Charge the silhouette edges that replace an edge and its neighbours with how far they stray."""
-    t = m.twin[h]
+    t = m.links[h, TWIN]
     if free_ends == 2:
-        _, _, _, _, deviation = joint_line(m, h)
+        _, _, _, _, _, _, deviation = joint_line(m, h)
         if deviation <= m.settings[SEAM_TOLERANCE]:
-            k, g = other_silhouette(m, h), other_silhouette(m, t)
-            for e in (k, m.twin[k], g, m.twin[g]):
+            k, g = other_silhouette(m.links, h), other_silhouette(m.links, t)
+            for e in (k, m.links[k, TWIN], g, m.links[g, TWIN]):
                 m.deviation[e] = deviation
             return
     deviation, g = removal_deviation(m, h)
     m.deviation[g] = deviation
-    m.deviation[m.twin[g]] = deviation
+    m.deviation[m.links[g, TWIN]] = deviation
+
+
+@helper
+def _merge_poses(pose, xyz, a, b, x, y, z):
+    """Move a to the new point in every pose, with both ends' quadrics and the nearer one's rotation."""
+    to_a = (x - xyz[a, 0]) ** 2 + (y - xyz[a, 1]) ** 2 + (z - xyz[a, 2]) ** 2
+    to_b = (x - xyz[b, 0]) ** 2 + (y - xyz[b, 1]) ** 2 + (z - xyz[b, 2]) ** 2
+    for p in range(pose.shape[1]):
+        px = pose_position(pose, xyz, a, b, x, y, z, p, 0)
+        py = pose_position(pose, xyz, a, b, x, y, z, p, 1)
+        pz = pose_position(pose, xyz, a, b, x, y, z, p, 2)
+        pose[a, p, 0], pose[a, p, 1], pose[a, p, 2] = px, py, pz
+        for i in range(POSE_ROTATION, POSE_QUADRIC):
+            if to_b < to_a:
+                pose[a, p, i] = pose[b, p, i]
+        for i in range(POSE_QUADRIC, POSE_SIZE):
+            pose[a, p, i] += pose[b, p, i]
 
 
 @helper
@@ -114,31 +127,19 @@ def collapse(m, h, row, free_ends):
     The start keeps its number and its wedges; two faces (or one, and a virtual one) go.
     """
     x, y, z, u0, v0, u1, v1 = row[1], row[2], row[3], row[4], row[5], row[6], row[7]
-    t = m.twin[h]
-    a, b = m.tail[h], m.tail[t]
+    t = m.links[h, TWIN]
+    a, b = m.links[h, TAIL], m.links[t, TAIL]
     hn, hp, tn, tp = next_of(h), previous_of(h), next_of(t), previous_of(t)
-    a0, a1, b0, b1 = m.wedge[h], m.wedge[tn], m.wedge[hn], m.wedge[t]
-    if is_silhouette(m, h):
+    a0, a1, b0, b1 = m.links[h, WEDGE], m.links[tn, WEDGE], m.links[hn, WEDGE], m.links[t, WEDGE]
+    if is_silhouette(m.links, h):
         _spread_deviation(m, h, free_ends)
     unblock_around(m, a, False)
     unblock_around(m, b, False)
     for e in (h, hn, hp, tn, tp):
-        heap_remove(m.heap, min(e, m.twin[e]))
+        heap_remove(m.heap_cost, m.heap_item, m.links, m.counter, min(e, m.links[e, TWIN]))
 
-    for p in range(m.pose_xyz.shape[1]):
-        px = pose_position(m, a, b, x, y, z, p, 0)
-        py = pose_position(m, a, b, x, y, z, p, 1)
-        m.pose_xyz[a, p, 2] = pose_position(m, a, b, x, y, z, p, 2)
-        m.pose_xyz[a, p, 0], m.pose_xyz[a, p, 1] = px, py
-        add_rows(m.pose_quadric[:, p], a, b)
-    if m.pose_xyz.shape[1] > 0:
-        to_a = (x - m.xyz[a, 0]) ** 2 + (y - m.xyz[a, 1]) ** 2 + (z - m.xyz[a, 2]) ** 2
-        to_b = (x - m.xyz[b, 0]) ** 2 + (y - m.xyz[b, 1]) ** 2 + (z - m.xyz[b, 2]) ** 2
-        if to_b < to_a:
-            for p in range(m.pose_xyz.shape[1]):
-                for i in range(9):
-                    m.pose_rotation[a, p, i // 3, i % 3] = m.pose_rotation[b, p, i // 3, i % 3]
-
+    if m.pose.shape[1] > 0:
+        _merge_poses(m.pose, m.xyz, a, b, x, y, z)
     if b0 >= 0:
         add_rows(m.quadric, a0, b0)
     if b1 >= 0 and b1 != b0:
@@ -152,38 +153,38 @@ def collapse(m, h, row, free_ends):
 
     g = t
     while True:
-        m.tail[g] = a
-        if m.wedge[g] >= 0:
-            m.wedge[g] = a0 if m.wedge[g] == b0 else a1
-        g = m.twin[previous_of(g)]
+        m.links[g, TAIL] = a
+        if m.links[g, WEDGE] >= 0:
+            m.links[g, WEDGE] = a0 if m.links[g, WEDGE] == b0 else a1
+        g = m.links[previous_of(g), TWIN]
         if g == t:
             break
-    from_c, to_c, from_d, to_d = m.twin[hn], m.twin[hp], m.twin[tn], m.twin[tp]
+    from_c, to_c, from_d, to_d = m.links[hn, TWIN], m.links[hp, TWIN], m.links[tn, TWIN], m.links[tp, TWIN]
     _join(m, from_c, to_c)
     _join(m, from_d, to_d)
-    m.out[a] = to_c
-    m.out[m.tail[from_c]] = from_c
-    m.out[m.tail[from_d]] = from_d
+    m.vertices[a, OUT] = to_c
+    m.vertices[m.links[from_c, TAIL], OUT] = from_c
+    m.vertices[m.links[from_d, TAIL], OUT] = from_d
     num_faces = len(m.orientation)
     for e in (h, hn, hp, t, tn, tp):
-        m.twin[e] = -1
-        m.tail[e] = -1
+        m.links[e, TWIN] = -1
+        m.links[e, TAIL] = -1
     m.counter[FACES_LEFT] -= (1 if h < 3 * num_faces else 0) + (1 if t < 3 * num_faces else 0)
     m.counter[COLLAPSES] += 1
 
     g = to_c
     while True:
         price(m, g)
-        g = m.twin[previous_of(g)]
+        g = m.links[previous_of(g), TWIN]
         if g == to_c:
             break
-    infinity = len(m.out) - 1
+    infinity = len(m.vertices) - 1
     g = to_c
     while True:
-        c = m.tail[next_of(g)]
+        c = m.links[next_of(g), TAIL]
         if c != infinity:
             unblock_around(m, c, True)
-        g = m.twin[previous_of(g)]
+        g = m.links[previous_of(g), TWIN]
         if g == to_c:
             break
 
@@ -194,52 +195,67 @@ def _pick(m, h, count):
     while True:
         best, cost = -1, math.inf
         for n in range(count):
-            if m.candidates[n, 0] < cost:
-                best, cost = n, m.candidates[n, 0]
-        if best < 0 or placement_holds(m, h, m.candidates[best]):
+            if m.work[n, 0] < cost:
+                best, cost = n, m.work[n, 0]
+        if best < 0 or placement_holds(m, h, m.work[best]):
             return best
-        m.candidates[best, 0] = math.inf
+        m.work[best, 0] = math.inf
 
 
 @helper
 def attempt(m, h, free_ends):
     """Candidates of an oriented edge, checked: number of the best, or minus the rule that stands against it."""
-    if not link_holds(m, h):
+    if not link_holds(m.links, m.vertices, m.counter, h):
         return -LINK
     best = _pick(m, h, propose(m, h, free_ends, True))
     return best if best >= 0 else -FLIP
 
 
-@entry
-def run(m, target, max_cost):
-    """Collapse the cheapest edges until `target` faces are left, the next costs too much, or none is legal.
-
-    An edge whose cheapest placement folds the mesh goes back into the heap at the cost of the cheapest sound one; one
-    with none waits until a collapse nearby.
-    """
-    while m.counter[FACES_LEFT] > target and m.heap.size[0] > 0 and m.heap.cost[0] <= max_cost:
-        item = m.heap.item[0]
-        heap_remove(m.heap, item)
-        rule, h, free_ends = orient(m, item)
-        if rule != ALLOWED:
-            continue
-        best = attempt(m, h, free_ends)
-        if best < 0:
-            block(m, item)
-        elif m.heap.size[0] > 0 and m.candidates[best, 0] > m.heap.cost[0]:
-            heap_set(m.heap, item, m.candidates[best, 0])
-        else:
-            collapse(m, h, m.candidates[best], free_ends)
-
-
-@entry
-def census(m, counts):
-    """Count the edges that are left by what stands against their collapse (index: rules.ALLOWED and after)."""
-    for h in range(len(m.tail)):
-        if m.tail[h] < 0 or h > m.twin[h]:
+@helper
+def _census(m, counts):
+    """Count the edges that are left by what stands against their collapse."""
+    for h in range(len(m.links)):
+        if m.links[h, TAIL] < 0 or h > m.links[h, TWIN]:
             continue
         rule, kept, free_ends = orient(m, h)
         if rule == ALLOWED:
             best = attempt(m, kept, free_ends)
             rule = -best if best < 0 else ALLOWED
         counts[rule] += 1
+
+
+@entry
+def run(m, target, max_cost, counts):
+    """Collapse the cheapest edges until `target` faces are left, the next costs too much, or none is legal.
+
+    An edge whose cheapest placement folds the mesh goes back into the heap at the cost of the cheapest sound one; one
+    with none waits until a collapse nearby.
+
+    Parameters
+    ----------
+    m : rules.Mesh
+    target : int
+    max_cost : float
+    counts : (8,) int64, or (0,) not to count
+        Gets the number of edges that are left by rule (index: rules.ALLOWED and after).
+    """
+    if m.counter[PRICED] == 0:
+        m.counter[PRICED] = 1
+        for h in range(len(m.links)):
+            if m.links[h, TAIL] >= 0 and h < m.links[h, TWIN]:
+                price(m, h)
+    while m.counter[FACES_LEFT] > target and m.counter[HEAP_SIZE] > 0 and m.heap_cost[0] <= max_cost:
+        item = m.heap_item[0]
+        heap_remove(m.heap_cost, m.heap_item, m.links, m.counter, item)
+        rule, h, free_ends = orient(m, item)
+        if rule != ALLOWED:
+            continue
+        best = attempt(m, h, free_ends)
+        if best < 0:
+            block(m, item)
+        elif m.counter[HEAP_SIZE] > 0 and m.work[best, 0] > m.heap_cost[0]:
+            heap_set(m.heap_cost, m.heap_item, m.links, m.counter, item, m.work[best, 0])
+        else:
+            collapse(m, h, m.work[best], free_ends)
+    if len(counts) > 0:
+        _census(m, counts)

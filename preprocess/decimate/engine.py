@@ -8,15 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.decimate import rules
-from preprocess.decimate.collapse import census, price_all, run
-from preprocess.decimate.heap import make_heap
-from preprocess.decimate.jit import entry
+from preprocess.decimate.collapse import run
 from preprocess.decimate.lod import DecimateOptions, Lod, Repairs, Strictness
-from preprocess.decimate.placement import drawn_position
-from preprocess.decimate.quadrics import POSITION_SIZE, SIZE, accumulate_faces
+from preprocess.decimate.quadrics import SIZE, accumulate_faces
 from preprocess.decimate.rules import Mesh
-from preprocess.decimate.topology import HalfEdges, build_half_edges
+from preprocess.decimate.topology import TAIL, TWIN, WEDGE, HalfEdges, build_half_edges
 from preprocess.mesh import Floats, TexturedSurface
+from preprocess.texels import sample_bilinear
 
 # Faces may turn by at most about 78 degrees in one collapse.
 MIN_NORMAL_DOT = 0.2
@@ -34,43 +32,17 @@ _STRICT = {
 }
 
 
-@entry
-def _draw_vertices(m, num_vertices):
-    """Move every surface vertex to where it is drawn."""
-    placed = np.zeros(num_vertices, np.uint8)
-    for h in range(3 * len(m.orientation)):
-        v = m.tail[h]
-        if placed[v] == 0:
-            placed[v] = 1
-            m.xyz[v, 0], m.xyz[v, 1], m.xyz[v, 2] = drawn_position(m, m.uv[m.wedge[h], 0], m.uv[m.wedge[h], 1])
-
-
-@entry
-def _accumulate_poses(m, num_faces):
-    """Area-weighted position quadrics of the posed faces, a third to each corner's vertex."""
-    for p in range(m.pose_xyz.shape[1]):
-        for f in range(num_faces):
-            i, j, k = m.tail[3 * f], m.tail[3 * f + 1], m.tail[3 * f + 2]
-            a, b, c = m.pose_xyz[i, p], m.pose_xyz[j, p], m.pose_xyz[k, p]
-            ex, ey, ez, fx, fy, fz = b[0] - a[0], b[1] - a[1], b[2] - a[2], c[0] - a[0], c[1] - a[1], c[2] - a[2]
-            nx, ny, nz = ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx
-            norm = np.sqrt(nx * nx + ny * ny + nz * nz)
-            if norm == 0.0:
-                continue
-            weight = 1.0 / (6.0 * norm)  # area / 3 over the square of the normal's length
-            d = -(nx * a[0] + ny * a[1] + nz * a[2])
-            for v in (i, j, k):
-                q = m.pose_quadric[v, p]
-                q[0] += weight * nx * nx
-                q[1] += weight * nx * ny
-                q[2] += weight * nx * nz
-                q[3] += weight * ny * ny
-                q[4] += weight * ny * nz
-                q[5] += weight * nz * nz
-                q[6] += weight * nx * d
-                q[7] += weight * ny * d
-                q[8] += weight * nz * d
-                q[9] += weight * d * d
+def _pose_quadrics(posed: Floats, faces: NDArray[np.int64]) -> Floats:
+    """Area-weighted position quadrics of the faces of one pose, a third to each corner's vertex, (V, 10) float64."""
+    corners = posed[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    norms = np.linalg.norm(normals, axis=1)
+    weights = 1.0 / (6.0 * np.where(norms > 0, norms, np.inf))  # area / 3 over the square of the normal's length
+    planes = np.c_[normals, -np.einsum("fi,fi->f", normals, corners[:, 0])]
+    rows, columns = np.array([0, 0, 0, 1, 1, 2, 0, 1, 2, 3]), np.array([0, 1, 2, 1, 2, 2, 3, 3, 3, 3])
+    terms = weights[:, None] * planes[:, rows] * planes[:, columns]
+    sums = [np.bincount(faces.ravel(), np.repeat(term, 3), len(posed)) for term in terms.T]
+    return np.stack(sums, axis=1)
 
 
 @dataclass(frozen=True)
@@ -81,7 +53,7 @@ class Engine:
     ----------
     mesh : Mesh
     half_edges : HalfEdges
-        As built; its connectivity arrays are shared with `mesh` and change too.
+        As built.
     repairs : Repairs
     centre_m : (3,) float64
     scale_m : float
@@ -101,22 +73,22 @@ class Engine:
 
     def run_to(self, target_faces: int, max_cost: float = np.inf) -> None:
         """Collapse until that many faces are left, the next collapse costs more, or none is legal."""
-        run(self.mesh, target_faces, max_cost)
+        run(self.mesh, target_faces, max_cost, np.zeros(0, np.int64))
 
     def blocked(self) -> dict[str, int]:
         """Number of edges that cannot collapse, by rule."""
         counts = np.zeros(8, np.int64)
-        census(self.mesh, counts)
+        run(self.mesh, self.num_faces, 0.0, counts)
         return {name: int(counts[rule]) for rule, name in rules.RULE_NAMES.items() if counts[rule]}
 
     def snapshot(self) -> Lod:
         """What is left, as compact arrays in metres; faces in the order of the source's."""
         mesh, half_edges = self.mesh, self.half_edges
         num_faces = half_edges.num_faces
-        alive = np.flatnonzero(mesh.tail[: 3 * num_faces : 3] >= 0)
+        alive = np.flatnonzero(mesh.links[: 3 * num_faces : 3, TAIL] >= 0)
         corners = (3 * alive[:, None] + np.arange(3)).ravel()
-        vertices, faces = np.unique(mesh.tail[corners], return_inverse=True)
-        wedges, face_uvs = np.unique(mesh.wedge[corners], return_inverse=True)
+        vertices, faces = np.unique(mesh.links[corners, TAIL], return_inverse=True)
+        wedges, face_uvs = np.unique(mesh.links[corners, WEDGE], return_inverse=True)
         owners = np.full(len(vertices), len(wedges), np.int64)
         np.minimum.at(owners, faces, face_uvs)
         return Lod(
@@ -178,54 +150,49 @@ def make_engine(
     settings[rules.MIN_NORMAL_DOT] = MIN_NORMAL_DOT
     settings[rules.MIN_UV_HEIGHT] = MIN_UV_HEIGHT * min(extent_uv, 1.0)
     settings[rules.MIN_SHAPE] = MIN_SHAPE
-    num_poses = 0 if poses is None else len(poses)
-    matrices = np.zeros((num_vertices, num_poses, 3, 4))
-    if poses is not None:
-        matrices[:] = np.moveaxis(np.asarray(poses, np.float64), 0, 1)[half_edges.vertex_source]
-
+    links = np.full((num_half_edges, 5), -1, np.int64)
+    links[:, TAIL], links[:, WEDGE], links[:, TWIN] = half_edges.tail, half_edges.wedge, half_edges.twin
+    links[:, rules.BLOCKED] = 0
+    vertices = np.zeros((num_vertices + 1, 4), np.int64)
+    vertices[:, rules.OUT], vertices[:, rules.SILHOUETTES] = half_edges.out, half_edges.num_silhouettes
     counter = np.zeros(8, np.int64)
     counter[rules.FACES_LEFT] = num_faces
+    if position_texture is not None:
+        first_corner = np.unique(half_edges.tail[: 3 * num_faces], return_index=True)[1]
+        xyz = sample_bilinear(texture, uv[half_edges.wedge[first_corner]])
+    corners = half_edges.tail[: 3 * num_faces].reshape(-1, 3)
     mesh = Mesh(
-        tail=half_edges.tail,
-        wedge=half_edges.wedge,
-        twin=half_edges.twin,
-        out=half_edges.out,
-        num_silhouettes=half_edges.num_silhouettes,
+        links=links,
+        vertices=vertices,
         xyz=xyz,
         uv=uv,
         quadric=np.zeros((len(uv), SIZE)),
         deviation=np.zeros(num_half_edges),
-        blocked=np.zeros(num_half_edges, np.uint8),
-        num_blocked=np.zeros(num_vertices + 1, np.int32),
-        orientation=np.where(uv_area2 < 0, -1, 1).astype(np.int8),
-        mark=np.zeros(num_vertices + 1, np.int32),
-        counter=counter,
+        orientation=np.where(uv_area2 < 0, -1, 1),
         texture=np.ascontiguousarray(texture, np.float64),
-        pose_xyz=np.zeros((num_vertices, num_poses, 3)),
-        pose_rotation=np.ascontiguousarray(matrices[..., :3]),
-        pose_quadric=np.zeros((num_vertices, num_poses, POSITION_SIZE)),
-        candidates=np.zeros((8, 8)),
-        scratch=np.zeros((5, 6)),
-        ten=np.zeros(POSITION_SIZE),
+        pose=np.zeros((num_vertices, 0 if poses is None else len(poses), rules.POSE_SIZE)),
+        work=np.zeros((16, 8)),
+        ten=np.zeros(10),
         settings=settings,
-        heap=make_heap(num_half_edges),
+        counter=counter,
+        heap_cost=np.zeros(num_half_edges),
+        heap_item=np.zeros(num_half_edges, np.int64),
     )
-    if len(texture):
-        _draw_vertices(mesh, num_vertices)
-    if num_poses:
-        posed = np.einsum("vpij,vj->vpi", matrices[..., :3], xyz * scale + centre) + matrices[..., 3]
-        mesh.pose_xyz[:] = (posed - centre) / scale
-        _accumulate_poses(mesh, num_faces)
+    if poses is not None:
+        matrices = np.asarray(poses, np.float64)[:, half_edges.vertex_source]
+        for p, matrix in enumerate(matrices):
+            posed = np.einsum("vij,vj->vi", matrix[..., :3], xyz * scale + centre) + matrix[..., 3]
+            posed = (posed - centre) / scale
+            mesh.pose[:, p, : rules.POSE_ROTATION] = posed
+            mesh.pose[:, p, rules.POSE_ROTATION : rules.POSE_QUADRIC] = matrix[..., :3].reshape(-1, 9)
+            mesh.pose[:, p, rules.POSE_QUADRIC :] = _pose_quadrics(posed, corners)
     accumulate_faces(
-        mesh.tail,
-        mesh.wedge,
+        mesh.links,
         num_faces,
         mesh.xyz,
         mesh.uv,
         settings[rules.UV_SCALE],
         BOUNDARY_WEIGHT,
-        mesh.twin,
         mesh.quadric,
     )
-    price_all(mesh)
     return Engine(mesh, half_edges, repairs, centre, scale)

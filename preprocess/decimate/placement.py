@@ -19,8 +19,10 @@ from __future__ import annotations
 import math
 
 from preprocess.decimate.jit import helper
-from preprocess.decimate.quadrics import REGULARISE_REL, add_with_uv_held, clear, evaluate, evaluate_position, solve
+from preprocess.decimate.quadrics import REGULARISE_REL, SYSTEM_ROW, add_with_uv_held, clear, evaluate_position, solve
 from preprocess.decimate.rules import (
+    POSE_QUADRIC,
+    POSE_ROTATION,
     SEAM_TOLERANCE,
     STRICT,
     STRICT_NONE,
@@ -30,201 +32,172 @@ from preprocess.decimate.rules import (
     line_distance,
     other_silhouette,
 )
-from preprocess.decimate.topology import next_of, previous_of
+from preprocess.decimate.topology import TAIL, TWIN, WEDGE, next_of, previous_of
 
 
 @helper
-def drawn_position(m, u, v):
-    """Position texture at a uv: bilinear, clamped (the rule of texels.py)."""
-    height, width = m.texture.shape[0], m.texture.shape[1]
+def drawn_position(texture, u, v, axis):
+    """One coordinate of the position texture at a uv: bilinear, clamped (the rule of texels.py)."""
+    height, width = texture.shape[0], texture.shape[1]
     px = min(max(u * width - 0.5, 0.0), width - 1.0)
     py = min(max(v * height - 0.5, 0.0), height - 1.0)
     i, j = min(int(px), max(width - 2, 0)), min(int(py), max(height - 2, 0))
     i1, j1 = min(i + 1, width - 1), min(j + 1, height - 1)
     fx, fy = px - i, py - j
-    w00, w10, w01, w11 = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
-    t = m.texture
-    return (
-        w00 * t[j, i, 0] + w10 * t[j, i1, 0] + w01 * t[j1, i, 0] + w11 * t[j1, i1, 0],
-        w00 * t[j, i, 1] + w10 * t[j, i1, 1] + w01 * t[j1, i, 1] + w11 * t[j1, i1, 1],
-        w00 * t[j, i, 2] + w10 * t[j, i1, 2] + w01 * t[j1, i, 2] + w11 * t[j1, i1, 2],
-    )
+    above = (1.0 - fx) * texture[j, i, axis] + fx * texture[j, i1, axis]
+    below = (1.0 - fx) * texture[j1, i, axis] + fx * texture[j1, i1, axis]
+    return (1.0 - fy) * above + fy * below
 
 
 @helper
-def hold_all_wedges(m, v):
-    """Add to `m.ten` the position quadrics of all wedges of a silhouette vertex, each at its own uv."""
-    scale = m.settings[UV_SCALE]
-    infinity = len(m.out) - 1
-    first = m.out[v]
-    while not is_silhouette(m, first) or m.tail[next_of(first)] == infinity:
-        first = m.twin[previous_of(first)]
-    g = first
+def hold_vertex(links, uv, quadric, ten, h, scale):
+    """Add the position quadrics of all wedges of the silhouette vertex that h starts at, each at its own uv."""
+    while not is_silhouette(links, h):
+        h = links[previous_of(h), TWIN]
+    g = h
     while True:
-        if m.wedge[g] >= 0 and m.tail[next_of(g)] != infinity and is_silhouette(m, g):
-            w = m.wedge[g]
-            add_with_uv_held(m.quadric[w], m.uv[w, 0] * scale, m.uv[w, 1] * scale, m.ten)
-        g = m.twin[previous_of(g)]
-        if g == first:
-            break
+        w = links[g, WEDGE]
+        if w >= 0 and is_silhouette(links, g):
+            add_with_uv_held(quadric, w, uv[w, 0] * scale, uv[w, 1] * scale, ten)
+        g = links[previous_of(g), TWIN]
+        if g == h:
+            return
 
 
 @helper
-def pose_position(m, a, b, x, y, z, p, axis):
+def hold_end(links, quadric, ten, left, right, u0, v0, u1, v1, scale):
+    """Add the position quadrics of one or two wedges of an edge's end, the left at (u0, v0), the right at (u1, v1)."""
+    if left >= 0:
+        add_with_uv_held(quadric, left, u0 * scale, v0 * scale, ten)
+    if right >= 0 and right != left:
+        add_with_uv_held(quadric, right, u1 * scale, v1 * scale, ten)
+
+
+@helper
+def pose_position(pose, xyz, a, b, x, y, z, p, axis):
     """One coordinate, in pose p, of a point near the edge a-b: the ends' blend, and the offset from it turned along."""
-    dot, square = 0.0, 0.0
-    dot += (x - m.xyz[a, 0]) * (m.xyz[b, 0] - m.xyz[a, 0]) + (y - m.xyz[a, 1]) * (m.xyz[b, 1] - m.xyz[a, 1])
-    dot += (z - m.xyz[a, 2]) * (m.xyz[b, 2] - m.xyz[a, 2])
-    for i in range(3):
-        square += (m.xyz[b, i] - m.xyz[a, i]) ** 2
-    s = min(max(dot / square, 0.0), 1.0) if square > 0.0 else 0.0
-    rotation = m.pose_rotation[a, p, axis] if s < 0.5 else m.pose_rotation[b, p, axis]
-    value = (1.0 - s) * m.pose_xyz[a, p, axis] + s * m.pose_xyz[b, p, axis]
-    value += rotation[0] * (x - (1.0 - s) * m.xyz[a, 0] - s * m.xyz[b, 0])
-    value += rotation[1] * (y - (1.0 - s) * m.xyz[a, 1] - s * m.xyz[b, 1])
-    value += rotation[2] * (z - (1.0 - s) * m.xyz[a, 2] - s * m.xyz[b, 2])
-    return value
+    dx, dy, dz = xyz[b, 0] - xyz[a, 0], xyz[b, 1] - xyz[a, 1], xyz[b, 2] - xyz[a, 2]
+    square = dx * dx + dy * dy + dz * dz
+    ex, ey, ez = x - xyz[a, 0], y - xyz[a, 1], z - xyz[a, 2]
+    s = min(max((dx * ex + dy * ey + dz * ez) / square, 0.0), 1.0) if square > 0.0 else 0.0
+    nearest = a if s < 0.5 else b
+    r = POSE_ROTATION + 3 * axis
+    value = (1.0 - s) * pose[a, p, axis] + s * pose[b, p, axis]
+    value += pose[nearest, p, r] * (ex - s * dx) + pose[nearest, p, r + 1] * (ey - s * dy)
+    return value + pose[nearest, p, r + 2] * (ez - s * dz)
 
 
 @helper
-def pose_cost(m, a, b, x, y, z):
+def pose_cost(pose, xyz, a, b, x, y, z):
     """Sum over the poses of the ends' quadrics at the posed point."""
     cost = 0.0
-    for p in range(m.pose_xyz.shape[1]):
-        px = pose_position(m, a, b, x, y, z, p, 0)
-        py = pose_position(m, a, b, x, y, z, p, 1)
-        pz = pose_position(m, a, b, x, y, z, p, 2)
-        cost += evaluate_position(m.pose_quadric[a, p], px, py, pz)
-        cost += evaluate_position(m.pose_quadric[b, p], px, py, pz)
+    for p in range(pose.shape[1]):
+        px = pose_position(pose, xyz, a, b, x, y, z, p, 0)
+        py = pose_position(pose, xyz, a, b, x, y, z, p, 1)
+        pz = pose_position(pose, xyz, a, b, x, y, z, p, 2)
+        cost += evaluate_position(pose[a, p], POSE_QUADRIC, px, py, pz)
+        cost += evaluate_position(pose[b, p], POSE_QUADRIC, px, py, pz)
     return cost
 
 
 @helper
-def _put(m, n, cost, x, y, z, u0, v0, u1, v1):
-    row = m.candidates[n]
+def _add_candidate(m, n, h, x, y, z, u0, v0, u1, v1):
+    """Write candidate n with the cost that the held quadrics and the poses give it; returns n + 1."""
+    cost = evaluate_position(m.ten, 0, x, y, z)
+    if m.pose.shape[1] > 0:
+        cost += pose_cost(m.pose, m.xyz, m.links[h, TAIL], m.links[m.links[h, TWIN], TAIL], x, y, z)
+    row = m.work[n]
     row[0], row[1], row[2], row[3] = cost, x, y, z
     row[4], row[5], row[6], row[7] = u0, v0, u1, v1
     return n + 1
 
 
 @helper
-def _try_free(m, n, a, b, qa, qb, x, y, z, u, v):
-    """Add the candidate at a point of R5 (at what is drawn there, with a texture)."""
-    scale = m.settings[UV_SCALE]
+def _blend(table, a, b, f, column):
+    return (1.0 - f) * table[a, column] + f * table[b, column]
+
+
+@helper
+def _add_free(m, n, h, x, y, z, u0, v0, u1, v1):
+    """Add the candidate of two free ends; with a texture it stands where the texture draws it."""
+    t = m.links[h, TWIN]
     if m.texture.shape[0] > 0:
-        x, y, z = drawn_position(m, u, v)
-    cost = evaluate(qa, x, y, z, u * scale, v * scale) + evaluate(qb, x, y, z, u * scale, v * scale)
-    if m.pose_xyz.shape[1] > 0:
-        cost += pose_cost(m, a, b, x, y, z)
-    return _put(m, n, cost, x, y, z, u, v, u, v)
+        x, y, z = (
+            drawn_position(m.texture, u0, v0, 0),
+            drawn_position(m.texture, u0, v0, 1),
+            drawn_position(m.texture, u0, v0, 2),
+        )
+    clear(m.ten)
+    scale = m.settings[UV_SCALE]
+    left, right = m.links[h, WEDGE], m.links[next_of(t), WEDGE]
+    hold_end(m.links, m.quadric, m.ten, left, right, u0, v0, u1, v1, scale)
+    left, right = m.links[next_of(h), WEDGE], m.links[t, WEDGE]
+    hold_end(m.links, m.quadric, m.ten, left, right, u0, v0, u1, v1, scale)
+    return _add_candidate(m, n, h, x, y, z, u0, v0, u1, v1)
+
+
+@helper
+def _solve_free(work, xyz, uv, quadric, a, b, wa, wb, scale):
+    """Least cost over R5 of two wedges' quadrics, into the last column of the system; False where there is none."""
+    trace, n = 0.0, 0
+    for i in range(5):
+        for j in range(i, 5):
+            work[SYSTEM_ROW + i, j] = quadric[wa, n] + quadric[wb, n]
+            n += 1
+        trace += work[SYSTEM_ROW + i, i]
+    weight = REGULARISE_REL * trace
+    for i in range(5):
+        middle = _blend(xyz, a, b, 0.5, i) if i < 3 else scale * _blend(uv, wa, wb, 0.5, i - 3)
+        work[SYSTEM_ROW + i, i] += weight
+        work[SYSTEM_ROW + i, 5] = weight * middle - quadric[wa, 15 + i] - quadric[wb, 15 + i]
+    return solve(work, 5)
 
 
 @helper
 def _propose_free(m, h, full):
     """Both ends inside a chart."""
-    t = m.twin[h]
-    a, b, wa, wb = m.tail[h], m.tail[t], m.wedge[h], m.wedge[t]
-    qa, qb = m.quadric[wa], m.quadric[wb]
+    t = m.links[h, TWIN]
+    a, b, wa, wb = m.links[h, TAIL], m.links[t, TAIL], m.links[h, WEDGE], m.links[t, WEDGE]
     scale = m.settings[UV_SCALE]
-    s = m.scratch
-    trace, n = 0.0, 0
-    for i in range(5):
-        for j in range(i, 5):
-            s[i, j] = qa[n] + qb[n]
-            if i == j:
-                trace += s[i, j]
-            n += 1
-    weight = REGULARISE_REL * trace
-    for i in range(5):
-        if i < 3:
-            middle = 0.5 * (m.xyz[a, i] + m.xyz[b, i])
-        else:
-            middle = 0.5 * scale * (m.uv[wa, i - 3] + m.uv[wb, i - 3])
-        s[i, i] += weight
-        s[i, 5] = weight * middle - qa[15 + i] - qb[15 + i]
     n = 0
-    solved = solve(s, 5)
-    if solved:
-        n = _try_free(m, n, a, b, qa, qb, s[0, 5], s[1, 5], s[2, 5], s[3, 5] / scale, s[4, 5] / scale)
-    if full or not solved or m.texture.shape[0] > 0:
-        for f in (0.0, 1.0, 0.5):
-            x, y, z = (
-                (1 - f) * m.xyz[a, 0] + f * m.xyz[b, 0],
-                (1 - f) * m.xyz[a, 1] + f * m.xyz[b, 1],
-                (1 - f) * m.xyz[a, 2] + f * m.xyz[b, 2],
-            )
-            u, v = (1 - f) * m.uv[wa, 0] + f * m.uv[wb, 0], (1 - f) * m.uv[wa, 1] + f * m.uv[wb, 1]
-            n = _try_free(m, n, a, b, qa, qb, x, y, z, u, v)
+    if _solve_free(m.work, m.xyz, m.uv, m.quadric, a, b, wa, wb, scale):
+        x, y, z = m.work[SYSTEM_ROW, 5], m.work[SYSTEM_ROW + 1, 5], m.work[SYSTEM_ROW + 2, 5]
+        u, v = m.work[SYSTEM_ROW + 3, 5] / scale, m.work[SYSTEM_ROW + 4, 5] / scale
+        n = _add_free(m, n, h, x, y, z, u, v, u, v)
+    if full or n == 0 or m.texture.shape[0] > 0:
+        for step in range(3):
+            f = 0.5 * step
+            x, y, z = _blend(m.xyz, a, b, f, 0), _blend(m.xyz, a, b, f, 1), _blend(m.xyz, a, b, f, 2)
+            u, v = _blend(m.uv, wa, wb, f, 0), _blend(m.uv, wa, wb, f, 1)
+            n = _add_free(m, n, h, x, y, z, u, v, u, v)
     return n
-
-
-@helper
-def _solve_position(m, x, y, z):
-    """Minimum of the position quadric `m.ten`, drawn a little towards (x, y, z); False where there is none."""
-    s, q = m.scratch, m.ten
-    weight = REGULARISE_REL * (q[0] + q[3] + q[5])
-    s[0, 0], s[0, 1], s[0, 2], s[0, 3] = q[0] + weight, q[1], q[2], weight * x - q[6]
-    s[1, 1], s[1, 2], s[1, 3] = q[3] + weight, q[4], weight * y - q[7]
-    s[2, 2], s[2, 3] = q[5] + weight, weight * z - q[8]
-    return solve(s, 3)
 
 
 @helper
 def _propose_fixed(m, h, full):
     """The start of h keeps its uvs; only its position may move, and with a texture not even that."""
-    t = m.twin[h]
-    a, b = m.tail[h], m.tail[t]
+    t = m.links[h, TWIN]
+    a, wa0, wa1 = m.links[h, TAIL], m.links[h, WEDGE], m.links[next_of(t), WEDGE]
     scale = m.settings[UV_SCALE]
-    wa0, wa1 = m.wedge[h], m.wedge[next_of(t)]
-    wb0, wb1 = m.wedge[next_of(h)], m.wedge[t]
-    q = m.ten
-    clear(q)
-    hold_all_wedges(m, a)
-    if wb0 >= 0:
-        add_with_uv_held(m.quadric[wb0], m.uv[wa0, 0] * scale, m.uv[wa0, 1] * scale, q)
-    if wb1 >= 0 and wb1 != wb0:
-        add_with_uv_held(m.quadric[wb1], m.uv[wa1, 0] * scale, m.uv[wa1, 1] * scale, q)
     w0 = wa0 if wa0 >= 0 else wa1
     w1 = wa1 if wa1 >= 0 else wa0
     u0, v0, u1, v1 = m.uv[w0, 0], m.uv[w0, 1], m.uv[w1, 0], m.uv[w1, 1]
+    q, s = m.ten, m.work
+    clear(q)
+    hold_vertex(m.links, m.uv, m.quadric, q, h, scale)
+    hold_end(m.links, m.quadric, q, m.links[next_of(h), WEDGE], m.links[t, WEDGE], u0, v0, u1, v1, scale)
     n = 0
-    solved = False
-    posed = m.pose_xyz.shape[1] > 0
+    x, y, z = m.xyz[a, 0], m.xyz[a, 1], m.xyz[a, 2]
     if m.texture.shape[0] == 0:
-        solved = _solve_position(m, m.xyz[a, 0], m.xyz[a, 1], m.xyz[a, 2])
-        if solved:
-            x, y, z = m.scratch[0, 3], m.scratch[1, 3], m.scratch[2, 3]
-            cost = evaluate_position(q, x, y, z) + (pose_cost(m, a, b, x, y, z) if posed else 0.0)
-            n = _put(m, n, cost, x, y, z, u0, v0, u1, v1)
-    if full or not solved:
-        x, y, z = m.xyz[a, 0], m.xyz[a, 1], m.xyz[a, 2]
-        cost = evaluate_position(q, x, y, z) + (pose_cost(m, a, b, x, y, z) if posed else 0.0)
-        n = _put(m, n, cost, x, y, z, u0, v0, u1, v1)
+        weight = REGULARISE_REL * (q[0] + q[3] + q[5])
+        s[8, 0], s[8, 1], s[8, 2], s[8, 3] = q[0] + weight, q[1], q[2], weight * x - q[6]
+        s[9, 1], s[9, 2], s[9, 3] = q[3] + weight, q[4], weight * y - q[7]
+        s[10, 2], s[10, 3] = q[5] + weight, weight * z - q[8]
+        if solve(s, 3):
+            n = _add_candidate(m, n, h, s[8, 3], s[9, 3], s[10, 3], u0, v0, u1, v1)
+    if full or n == 0:
+        n = _add_candidate(m, n, h, x, y, z, u0, v0, u1, v1)
     return n
-
-
-@helper
-def _add_joint(m, wa, wb, pu, pv, du, dv, s):
-    """Add one side's two quadrics, restricted to uv = p + t d, to the system in (x, y, z, t); returns its constant."""
-    constant = 0.0
-    for w in (wa, wb):
-        q = m.quadric[w]
-        s[0, 0] += q[0]
-        s[0, 1] += q[1]
-        s[0, 2] += q[2]
-        s[1, 1] += q[5]
-        s[1, 2] += q[6]
-        s[2, 2] += q[9]
-        s[0, 3] += q[3] * du + q[4] * dv
-        s[1, 3] += q[7] * du + q[8] * dv
-        s[2, 3] += q[10] * du + q[11] * dv
-        s[3, 3] += q[12] * du * du + 2.0 * q[13] * du * dv + q[14] * dv * dv
-        s[0, 4] -= q[15] + q[3] * pu + q[4] * pv
-        s[1, 4] -= q[16] + q[7] * pu + q[8] * pv
-        s[2, 4] -= q[17] + q[10] * pu + q[11] * pv
-        s[3, 4] -= (q[18] + q[12] * pu + q[13] * pv) * du + (q[19] + q[13] * pu + q[14] * pv) * dv
-        constant += q[20] + 2.0 * (q[18] * pu + q[19] * pv) + q[12] * pu * pu + 2 * q[13] * pu * pv + q[14] * pv * pv
-    return constant
 
 
 @helper
@@ -234,53 +207,47 @@ def joint_line(m, h):
     Returns
     -------
     p0, q0, p1, q1 : wedges, of the left and the right side of h; NO_WEDGE on a boundary's open side
+    at_a, at_b : float, the two ends' fractions along the line
     deviation : float
         Largest uv distance of the two ends from that line, and of what they already stand for.
     """
-    t = m.twin[h]
+    links = m.links
+    t = links[h, TWIN]
+    a0, a1, b0, b1 = links[h, WEDGE], links[next_of(t), WEDGE], links[next_of(h), WEDGE], links[t, WEDGE]
     if m.settings[STRICT] == STRICT_NONE:
-        deviation = m.deviation[h]
-        return m.wedge[h], m.wedge[next_of(h)], m.wedge[next_of(t)], m.wedge[t], deviation
-    k, g = other_silhouette(m, h), other_silhouette(m, t)
-    tk, tg = m.twin[k], m.twin[g]
-    p0, q0, p1, q1 = m.wedge[tk], m.wedge[next_of(g)], m.wedge[next_of(k)], m.wedge[tg]
-    paired = m.settings[STRICT] == STRICT_SEAMLESS and m.wedge[h] >= 0 and m.wedge[t] >= 0
-    at_a, _ = line_distance(m, p0, p1, m.wedge[h], m.wedge[next_of(t)], q0, q1, paired)
-    at_b, _ = line_distance(m, p0, p1, m.wedge[next_of(h)], m.wedge[t], q0, q1, paired)
+        return a0, b0, a1, b1, 0.0, 1.0, m.deviation[h]
+    k, g = other_silhouette(links, h), other_silhouette(links, t)
+    tk, tg = links[k, TWIN], links[g, TWIN]
+    p0, q0, p1, q1 = links[tk, WEDGE], links[next_of(g), WEDGE], links[next_of(k), WEDGE], links[tg, WEDGE]
+    paired = m.settings[STRICT] == STRICT_SEAMLESS and a0 >= 0 and b1 >= 0
+    from_a, at_a = line_distance(m.uv, p0, p1, a0, a1, q0, q1, paired)
+    from_b, at_b = line_distance(m.uv, p0, p1, b0, b1, q0, q1, paired)
     before = max(m.deviation[h], m.deviation[k], m.deviation[g])
-    return p0, q0, p1, q1, before + max(at_a, at_b)
+    return p0, q0, p1, q1, at_a, at_b, before + max(from_a, from_b)
 
 
 @helper
-def _try_joint(m, n, h, a, b, p0, q0, p1, q1, t, x, y, z):
-    """Add the candidate at parameter t of a joint line."""
-    scale = m.settings[UV_SCALE]
-    q = m.ten
-    clear(q)
-    u0, v0, u1, v1 = 0.0, 0.0, 0.0, 0.0
-    if p0 >= 0:
-        u0, v0 = (1 - t) * m.uv[p0, 0] + t * m.uv[q0, 0], (1 - t) * m.uv[p0, 1] + t * m.uv[q0, 1]
-        add_with_uv_held(m.quadric[m.wedge[h]], u0 * scale, v0 * scale, q)
-        add_with_uv_held(m.quadric[m.wedge[next_of(h)]], u0 * scale, v0 * scale, q)
-    if p1 >= 0:
-        twin = m.twin[h]
-        u1, v1 = (1 - t) * m.uv[p1, 0] + t * m.uv[q1, 0], (1 - t) * m.uv[p1, 1] + t * m.uv[q1, 1]
-        add_with_uv_held(m.quadric[m.wedge[twin]], u1 * scale, v1 * scale, q)
-        add_with_uv_held(m.quadric[m.wedge[next_of(twin)]], u1 * scale, v1 * scale, q)
-    if p0 < 0:
-        u0, v0 = u1, v1
-    if p1 < 0:
-        u1, v1 = u0, v0
-    if m.texture.shape[0] > 0:
-        x, y, z = drawn_position(m, u0, v0)
-    cost = evaluate_position(q, x, y, z)
-    if m.pose_xyz.shape[1] > 0:
-        cost += pose_cost(m, a, b, x, y, z)
-    return _put(m, n, cost, x, y, z, u0, v0, u1, v1)
+def _hold_line(quadric, uv, work, w, p, q, scale):
+    """Add a wedge's quadric, restricted to uvs on the line p-q, to the system in (x, y, z, t)."""
+    pu, pv = uv[p, 0] * scale, uv[p, 1] * scale
+    du, dv = uv[q, 0] * scale - pu, uv[q, 1] * scale - pv
+    n = 0
+    for i in range(3):
+        for j in range(i, 3):
+            work[SYSTEM_ROW + i, j] += quadric[w, n]
+            n += 1
+        to_u, to_v = quadric[w, n], quadric[w, n + 1]
+        n += 2
+        work[SYSTEM_ROW + i, 3] += to_u * du + to_v * dv
+        work[SYSTEM_ROW + i, 4] -= quadric[w, 15 + i] + to_u * pu + to_v * pv
+    uu, uv_, vv = quadric[w, 12], quadric[w, 13], quadric[w, 14]
+    work[SYSTEM_ROW + 3, 3] += uu * du * du + 2.0 * uv_ * du * dv + vv * dv * dv
+    along_u, along_v = quadric[w, 18] + uu * pu + uv_ * pv, quadric[w, 19] + uv_ * pu + vv * pv
+    work[SYSTEM_ROW + 3, 4] -= along_u * du + along_v * dv
 
 
 @helper
-def solve_joint(m, h, p0, q0, p1, q1, regularise, scale):
+def solve_joint(links, xyz, uv, quadric, work, h, p0, q0, p1, q1, regularise, scale):
     """Position and parameter of least cost on a joint line: the quadratic program in closed form.
 
     Returns
@@ -288,78 +255,72 @@ def solve_joint(m, h, p0, q0, p1, q1, regularise, scale):
     solved : bool
     x, y, z, t : float
     """
-    twin = m.twin[h]
-    a, b = m.tail[h], m.tail[twin]
-    s = m.scratch
-    x, y, z, t = 0.0, 0.0, 0.0, 0.5
-    for clamp in (-1.0, 0.0, 1.0):
-        # First the four unknowns; where t leaves [0, 1], the three with t at the end it left by.
-        if clamp == 0.0 and not t < 0.0:
-            continue
-        if clamp == 1.0 and not t > 1.0:
-            continue
+    twin = links[h, TWIN]
+    a, b = links[h, TAIL], links[twin, TAIL]
+    held, t = False, 0.5
+    # First the four unknowns; where t leaves [0, 1], the three with t at the end it left by.
+    while True:
         for i in range(4):
             for j in range(i, 5):
-                s[i, j] = 0.0
+                work[SYSTEM_ROW + i, j] = 0.0
         if p0 >= 0:
-            du, dv = (m.uv[q0, 0] - m.uv[p0, 0]) * scale, (m.uv[q0, 1] - m.uv[p0, 1]) * scale
-            _add_joint(m, m.wedge[h], m.wedge[next_of(h)], m.uv[p0, 0] * scale, m.uv[p0, 1] * scale, du, dv, s)
+            _hold_line(quadric, uv, work, links[h, WEDGE], p0, q0, scale)
+            _hold_line(quadric, uv, work, links[next_of(h), WEDGE], p0, q0, scale)
         if p1 >= 0:
-            du, dv = (m.uv[q1, 0] - m.uv[p1, 0]) * scale, (m.uv[q1, 1] - m.uv[p1, 1]) * scale
-            _add_joint(m, m.wedge[next_of(twin)], m.wedge[twin], m.uv[p1, 0] * scale, m.uv[p1, 1] * scale, du, dv, s)
-        weight = regularise * (s[0, 0] + s[1, 1] + s[2, 2])
+            _hold_line(quadric, uv, work, links[next_of(twin), WEDGE], p1, q1, scale)
+            _hold_line(quadric, uv, work, links[twin, WEDGE], p1, q1, scale)
+        weight = regularise * (work[SYSTEM_ROW, 0] + work[SYSTEM_ROW + 1, 1] + work[SYSTEM_ROW + 2, 2])
         for i in range(3):
-            s[i, i] += weight
-            s[i, 4] += weight * 0.5 * (m.xyz[a, i] + m.xyz[b, i])
-        if clamp < 0.0:
-            weight = regularise * s[3, 3]
-            s[3, 3] += weight
-            s[3, 4] += weight * 0.5
-            if not solve(s, 4):
-                return False, 0.0, 0.0, 0.0, 0.0
-            t = s[3, 4]
-            x, y, z = s[0, 4], s[1, 4], s[2, 4]
-        else:
-            t = clamp
+            work[SYSTEM_ROW + i, i] += weight
+            work[SYSTEM_ROW + i, 4] += weight * _blend(xyz, a, b, 0.5, i)
+        column = 4
+        if held:
+            column = 3
             for i in range(3):
-                s[i, 3] = s[i, 4] - s[i, 3] * t
-            if not solve(s, 3):
-                return False, 0.0, 0.0, 0.0, 0.0
-            return True, s[0, 3], s[1, 3], s[2, 3], t
-    return True, x, y, z, t
+                work[SYSTEM_ROW + i, 3] = work[SYSTEM_ROW + i, 4] - work[SYSTEM_ROW + i, 3] * t
+        else:
+            weight = regularise * work[SYSTEM_ROW + 3, 3]
+            work[SYSTEM_ROW + 3, 3] += weight
+            work[SYSTEM_ROW + 3, 4] += weight * 0.5
+        solved = solve(work, column)
+        if not held:
+            t = work[SYSTEM_ROW + 3, 4]
+        if held or not solved or (t >= 0.0 and t <= 1.0):
+            return solved, work[SYSTEM_ROW, column], work[SYSTEM_ROW + 1, column], work[SYSTEM_ROW + 2, column], t
+        held, t = True, min(max(t, 0.0), 1.0)
 
 
 @helper
 def _propose_joint(m, h, full):
     """Two unifiable ends: slide along the joint line. None where both ends cannot go at once within the tolerance."""
-    p0, q0, p1, q1, deviation = joint_line(m, h)
+    p0, q0, p1, q1, at_a, at_b, deviation = joint_line(m, h)
     if not deviation <= m.settings[SEAM_TOLERANCE]:
         return 0
-    twin = m.twin[h]
-    a, b = m.tail[h], m.tail[twin]
+    a, b = m.links[h, TAIL], m.links[m.links[h, TWIN], TAIL]
+    best, x, y, z, t = solve_joint(
+        m.links, m.xyz, m.uv, m.quadric, m.work, h, p0, q0, p1, q1, REGULARISE_REL, m.settings[UV_SCALE]
+    )
     n = 0
-    solved, x, y, z, t = solve_joint(m, h, p0, q0, p1, q1, REGULARISE_REL, m.settings[UV_SCALE])
-    if solved:
-        n = _try_joint(m, n, h, a, b, p0, q0, p1, q1, t, x, y, z)
-    if full or not solved or m.texture.shape[0] > 0:
-        if m.settings[STRICT] == STRICT_NONE:
-            at_a, at_b = 0.0, 1.0
-        else:
-            _, at_a = line_distance(m, p0, p1, m.wedge[h], m.wedge[next_of(twin)], q0, q1, True)
-            _, at_b = line_distance(m, p0, p1, m.wedge[next_of(h)], m.wedge[twin], q0, q1, True)
-        for f in (0.0, 1.0, 0.5):
-            x, y, z = (
-                (1 - f) * m.xyz[a, 0] + f * m.xyz[b, 0],
-                (1 - f) * m.xyz[a, 1] + f * m.xyz[b, 1],
-                (1 - f) * m.xyz[a, 2] + f * m.xyz[b, 2],
-            )
-            n = _try_joint(m, n, h, a, b, p0, q0, p1, q1, (1 - f) * at_a + f * at_b, x, y, z)
+    for step in range(-1, 3):
+        if step >= 0:
+            if not (full or n == 0 or m.texture.shape[0] > 0):
+                break
+            f = 0.5 * step
+            x, y, z = _blend(m.xyz, a, b, f, 0), _blend(m.xyz, a, b, f, 1), _blend(m.xyz, a, b, f, 2)
+            t = (1.0 - f) * at_a + f * at_b
+        elif not best:
+            continue
+        u0 = _blend(m.uv, p0, q0, t, 0) if p0 >= 0 else _blend(m.uv, p1, q1, t, 0)
+        v0 = _blend(m.uv, p0, q0, t, 1) if p0 >= 0 else _blend(m.uv, p1, q1, t, 1)
+        u1 = _blend(m.uv, p1, q1, t, 0) if p1 >= 0 else u0
+        v1 = _blend(m.uv, p1, q1, t, 1) if p1 >= 0 else v0
+        n = _add_free(m, n, h, x, y, z, u0, v0, u1, v1)
     return n
 
 
 @helper
 def propose(m, h, free_ends, full):
-    """Fill `m.candidates` with placements for an oriented edge.
+    """Fill the first rows of `m.work` with placements for an oriented edge.
 
     Parameters
     ----------
@@ -376,7 +337,7 @@ def propose(m, h, free_ends, full):
     """
     if free_ends == 1:
         return _propose_fixed(m, h, full)
-    if is_silhouette(m, h):
+    if is_silhouette(m.links, h):
         n = _propose_joint(m, h, full)
         return n if n > 0 else _propose_fixed(m, h, full)
     return _propose_free(m, h, full)
@@ -387,5 +348,5 @@ def best_cost(m, count):
     """Least cost among the first candidates, infinity for none; squared distances below zero are rounding."""
     best = math.inf
     for n in range(count):
-        best = min(best, m.candidates[n, 0])
+        best = min(best, m.work[n, 0])
     return max(best, 0.0)

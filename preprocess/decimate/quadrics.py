@@ -16,9 +16,11 @@ import math
 import numpy as np
 
 from preprocess.decimate.jit import entry, helper
+from preprocess.decimate.topology import TAIL, TWIN, WEDGE
 
 SIZE = 21
 POSITION_SIZE = 10
+SYSTEM_ROW = 8  # of the scratch table, see rules.Mesh
 # A little of the plain squared distance to the edge's middle, as a fraction of the quadric's trace: decides where
 # the quadric is flat (a plane), and is far below any real curvature elsewhere.
 REGULARISE_REL = 1e-6
@@ -46,7 +48,7 @@ def _orthonormal(p, q, r, e):
 
 
 @entry
-def accumulate_faces(tail, wedge, num_faces, xyz, uv, uv_scale, boundary_weight, twin, quadric):
+def accumulate_faces(links, num_faces, xyz, uv, uv_scale, boundary_weight, quadric):
     """Add a third of each face's area-weighted quadric to its three wedges, and hold open boundaries in place.
 
     An open edge adds the squared distance to the plane through it that stands on its face, so that it keeps its shape
@@ -58,9 +60,9 @@ def accumulate_faces(tail, wedge, num_faces, xyz, uv, uv_scale, boundary_weight,
         for k in range(3):
             h = 3 * f + k
             for i in range(3):
-                points[k, i] = xyz[tail[h], i]
+                points[k, i] = xyz[links[h, TAIL], i]
             for i in range(2):
-                points[k, 3 + i] = uv[wedge[h], i] * uv_scale
+                points[k, 3 + i] = uv[links[h, WEDGE], i] * uv_scale
         ax, ay, az = points[1, 0] - points[0, 0], points[1, 1] - points[0, 1], points[1, 2] - points[0, 2]
         bx, by, bz = points[2, 0] - points[0, 0], points[2, 1] - points[0, 1], points[2, 2] - points[0, 2]
         nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -77,7 +79,7 @@ def accumulate_faces(tail, wedge, num_faces, xyz, uv, uv_scale, boundary_weight,
             along1 += points[0, i] * e[1, i]
             square += points[0, i] * points[0, i]
         for k in range(3):
-            row = quadric[wedge[3 * f + k]]
+            row = quadric[links[3 * f + k, WEDGE]]
             n = 0
             for i in range(5):
                 for j in range(i, 5):
@@ -91,7 +93,7 @@ def accumulate_faces(tail, wedge, num_faces, xyz, uv, uv_scale, boundary_weight,
             row[20] += weight * (square - along0 * along0 - along1 * along1)
         for k in range(3):
             h = 3 * f + k
-            if twin[h] < 3 * num_faces:
+            if links[h, TWIN] < 3 * num_faces:
                 continue
             end = (k + 1) % 3
             dx, dy, dz = points[end, 0] - points[k, 0], points[end, 1] - points[k, 1], points[end, 2] - points[k, 2]
@@ -101,7 +103,7 @@ def accumulate_faces(tail, wedge, num_faces, xyz, uv, uv_scale, boundary_weight,
                 continue
             weight = boundary_weight * (dx * dx + dy * dy + dz * dz) / square
             d = -(mx * points[k, 0] + my * points[k, 1] + mz * points[k, 2])
-            for w in (wedge[h], wedge[3 * f + end]):
+            for w in (links[h, WEDGE], links[3 * f + end, WEDGE]):
                 row = quadric[w]
                 row[0] += weight * mx * mx
                 row[1] += weight * mx * my
@@ -130,50 +132,36 @@ def add_rows(rows, to, other):
 
 
 @helper
-def evaluate(q, x, y, z, u, v):
-    """Value of a 5D quadric."""
-    ax = q[0] * x + 2.0 * (q[1] * y + q[2] * z + q[3] * u + q[4] * v + q[15])
-    ay = q[5] * y + 2.0 * (q[6] * z + q[7] * u + q[8] * v + q[16])
-    az = q[9] * z + 2.0 * (q[10] * u + q[11] * v + q[17])
-    au = q[12] * u + 2.0 * (q[13] * v + q[18])
-    av = q[14] * v + 2.0 * q[19]
-    return x * ax + y * ay + z * az + u * au + v * av + q[20]
+def add_with_uv_held(quadric, w, u, v, out):
+    """Add what wedge w's quadric says of the position alone, at a fixed uv, to ten numbers."""
+    n, k = 0, 0
+    for i in range(3):
+        for _ in range(i, 3):
+            out[k] += quadric[w, n]
+            n += 1
+            k += 1
+        out[6 + i] += quadric[w, 15 + i] + quadric[w, n] * u + quadric[w, n + 1] * v
+        n += 2
+    out[9] += quadric[w, 20] + u * (2.0 * quadric[w, 18] + quadric[w, 12] * u + 2.0 * quadric[w, 13] * v)
+    out[9] += v * (2.0 * quadric[w, 19] + quadric[w, 14] * v)
 
 
 @helper
-def add_with_uv_held(q, u, v, out):
-    """Add what a 5D quadric says of the position alone, at a fixed uv, to ten numbers."""
-    out[0] += q[0]
-    out[1] += q[1]
-    out[2] += q[2]
-    out[3] += q[5]
-    out[4] += q[6]
-    out[5] += q[9]
-    out[6] += q[15] + q[3] * u + q[4] * v
-    out[7] += q[16] + q[7] * u + q[8] * v
-    out[8] += q[17] + q[10] * u + q[11] * v
-    out[9] += q[20] + 2.0 * (q[18] * u + q[19] * v) + q[12] * u * u + 2.0 * q[13] * u * v + q[14] * v * v
+def evaluate_position(q, o, x, y, z):
+    """Value of a position quadric, ten numbers from q[o] on."""
+    value = x * (q[o] * x + 2.0 * (q[o + 1] * y + q[o + 2] * z + q[o + 6]))
+    value += y * (q[o + 3] * y + 2.0 * (q[o + 4] * z + q[o + 7]))
+    return value + z * (q[o + 5] * z + 2.0 * q[o + 8]) + q[o + 9]
 
 
 @helper
-def evaluate_position(q, x, y, z):
-    """Value of a position quadric (10 numbers)."""
-    return (
-        x * (q[0] * x + 2.0 * (q[1] * y + q[2] * z + q[6]))
-        + y * (q[3] * y + 2.0 * (q[4] * z + q[7]))
-        + z * (q[5] * z + 2.0 * q[8])
-        + q[9]
-    )
-
-
-@helper
-def solve(matrix, size):
+def solve(work, size):
     """Solve a symmetric positive definite system in place by LDL'.
 
     Parameters
     ----------
-    matrix : (N, N + 1) float64
-        Upper triangle of the matrix; the last column holds the right-hand side and receives the solution.
+    work : (16, 8) float64
+        From row 8 on, the upper triangle of the matrix; column `size` holds the right-hand side and gets the solution.
     size : int
 
     Returns
@@ -181,6 +169,7 @@ def solve(matrix, size):
     bool
         False where a pivot is not clearly positive; the content is then meaningless.
     """
+    matrix = work[SYSTEM_ROW:]
     largest = 0.0
     for i in range(size):
         largest = max(largest, matrix[i, i])

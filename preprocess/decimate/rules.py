@@ -27,9 +27,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.decimate.heap import Heap
 from preprocess.decimate.jit import helper
-from preprocess.decimate.topology import next_of, previous_of
+from preprocess.decimate.topology import TAIL, TWIN, WEDGE, next_of, previous_of
 
 # Why an edge does not collapse. The first four come from the table, the others from the state of the mesh.
 ALLOWED, VIRTUAL, TWO_SILHOUETTES, NO_FREE_END, LINK, FLIP = 0, 1, 2, 3, 4, 5
@@ -42,73 +41,88 @@ RULE_NAMES = {
 
 STRICT_NONE, STRICT_SHAPE, STRICT_SEAMLESS = 0, 1, 2
 
+# Columns of Mesh.vertices, and those of Mesh.links after topology's.
+OUT, SILHOUETTES, NUM_BLOCKED, MARK = 0, 1, 2, 3
+PLACE, BLOCKED = 3, 4
+POSE_ROTATION, POSE_QUADRIC, POSE_SIZE = 3, 12, 22
+
 
 class Mesh(NamedTuple):
-    """Everything a run changes, in normalised units. V vertices, W wedges, P poses.
+    """Everything a run changes, in normalised units. V vertices, W wedges, F' faces with the virtual ones, P poses.
 
-    tail, wedge, twin, out, num_silhouettes : see topology.HalfEdges
-    xyz (V, 3), uv (W, 2), quadric (W, 21) : float64
-    deviation : (3 F',) float64, uv distance the original line strays from a silhouette edge
-    blocked : (3 F',) uint8, 1 where an edge was tried, found invalid and waits for its surroundings to change
-    num_blocked : (V + 1,) int32, such edges at each vertex
-    orientation : (F,) int8, sign of each face's uv area
-    mark : (V + 1,) int32, scratch of the link condition; counter : (8,) int64 [faces left, mark stamp, collapses]
-    texture : (H, W, 3) float64, positions drawn at a uv, or (0, 0, 3)
-    pose_xyz (V, P, 3), pose_rotation (V, P, 3, 3), pose_quadric (V, P, 10) : float64
-    candidates : (8, 8) float64 scratch; scratch : (5, 6) and ten : (10,) float64
-    settings : (8,) float64, see engine.Settings
+    Few arrays with named columns: a helper's arguments cost compile time, and each array is seven of them.
+
+    Attributes
+    ----------
+    links : (3 F', 5) int64
+        Columns TAIL, WEDGE, TWIN (see topology.HalfEdges), PLACE (of an edge in the heap, -1 for none) and BLOCKED
+        (1 where an edge was tried, found invalid and waits for its surroundings to change).
+    vertices : (V + 1, 4) int64
+        Columns OUT, SILHOUETTES (see topology.HalfEdges), NUM_BLOCKED (such edges at the vertex), MARK (scratch of
+        the link condition). The virtual vertex is the last.
+    xyz : (V, 3) float64
+    uv : (W, 2) float64
+    quadric : (W, 21) float64
+    deviation : (3 F',) float64
+        uv distance by which the line that a silhouette edge stands for strays from it.
+    orientation : (F,) int64
+        Sign of each real face's uv area.
+    texture : (H, W, 3) float64
+        Positions drawn at a uv, or (0, 0, 3).
+    pose : (V, P, 22) float64
+        A vertex in each pose: position (3), rotation (9), position quadric (10).
+    work : (16, 8) float64
+        Scratch: candidates in the first 8 rows, the small linear system in rows 8 to 12.
+    ten : (10,) float64
+        Scratch: a position quadric.
+    settings : (8,) float64, counter : (8,) int64
+        See the slots below.
+    heap_cost : (3 F',) float64, heap_item : (3 F',) int64
+        See heap.py.
     """
 
-    tail: NDArray[np.int64]
-    wedge: NDArray[np.int64]
-    twin: NDArray[np.int64]
-    out: NDArray[np.int64]
-    num_silhouettes: NDArray[np.uint8]
+    links: NDArray[np.int64]
+    vertices: NDArray[np.int64]
     xyz: NDArray[np.float64]
     uv: NDArray[np.float64]
     quadric: NDArray[np.float64]
     deviation: NDArray[np.float64]
-    blocked: NDArray[np.uint8]
-    num_blocked: NDArray[np.int32]
-    orientation: NDArray[np.int8]
-    mark: NDArray[np.int32]
-    counter: NDArray[np.int64]
+    orientation: NDArray[np.int64]
     texture: NDArray[np.float64]
-    pose_xyz: NDArray[np.float64]
-    pose_rotation: NDArray[np.float64]
-    pose_quadric: NDArray[np.float64]
-    candidates: NDArray[np.float64]
-    scratch: NDArray[np.float64]
+    pose: NDArray[np.float64]
+    work: NDArray[np.float64]
     ten: NDArray[np.float64]
     settings: NDArray[np.float64]
-    heap: Heap
+    counter: NDArray[np.int64]
+    heap_cost: NDArray[np.float64]
+    heap_item: NDArray[np.int64]
 
 
 # Slots of Mesh.settings and Mesh.counter.
 UV_SCALE, SEAM_TOLERANCE, STRICT, MIN_NORMAL_DOT, MIN_UV_HEIGHT, MIN_SHAPE = 0, 1, 2, 3, 4, 5
-FACES_LEFT, STAMP, COLLAPSES, RETRIES = 0, 1, 2, 3
+FACES_LEFT, STAMP, COLLAPSES, HEAP_SIZE, PRICED = 0, 1, 2, 3, 4
 
 
 @helper
-def is_silhouette(m, h):
+def is_silhouette(links, h):
     """Whether a half-edge lies on a seam or a boundary."""
-    t = m.twin[h]
-    return m.wedge[h] != m.wedge[next_of(t)] or m.wedge[next_of(h)] != m.wedge[t]
+    t = links[h, TWIN]
+    return links[h, WEDGE] != links[next_of(t), WEDGE] or links[next_of(h), WEDGE] != links[t, WEDGE]
 
 
 @helper
-def other_silhouette(m, h):
+def other_silhouette(links, h):
     """The other silhouette half-edge that starts where h starts, when there are two."""
-    g = m.twin[previous_of(h)]
+    g = links[previous_of(h), TWIN]
     while g != h:
-        if is_silhouette(m, g) and m.tail[next_of(g)] != len(m.out) - 1:
+        if is_silhouette(links, g):
             return g
-        g = m.twin[previous_of(g)]
+        g = links[previous_of(g), TWIN]
     return h
 
 
 @helper
-def line_distance(m, p0, p1, b0, b1, q0, q1, paired):
+def line_distance(uv, p0, p1, b0, b1, q0, q1, paired):
     """Distance in uv of the point (b0, b1) from the segment (p0, p1)-(q0, q1) of R4, and where on it.
 
     Wedges of NO_WEDGE take no part. With `paired` false each side is measured at its own nearest point, which is the
@@ -124,8 +138,8 @@ def line_distance(m, p0, p1, b0, b1, q0, q1, paired):
         p, b, q = (p0, b0, q0) if side == 0 else (p1, b1, q1)
         if p < 0 or b < 0 or q < 0:
             continue
-        dx, dy = m.uv[q, 0] - m.uv[p, 0], m.uv[q, 1] - m.uv[p, 1]
-        dot += (m.uv[b, 0] - m.uv[p, 0]) * dx + (m.uv[b, 1] - m.uv[p, 1]) * dy
+        dx, dy = uv[q, 0] - uv[p, 0], uv[q, 1] - uv[p, 1]
+        dot += (uv[b, 0] - uv[p, 0]) * dx + (uv[b, 1] - uv[p, 1]) * dy
         square += dx * dx + dy * dy
     if not (dot > 0.0 and dot < square):
         return math.inf, 0.0
@@ -135,8 +149,8 @@ def line_distance(m, p0, p1, b0, b1, q0, q1, paired):
         p, b, q = (p0, b0, q0) if side == 0 else (p1, b1, q1)
         if p < 0 or b < 0 or q < 0:
             continue
-        dx, dy = m.uv[q, 0] - m.uv[p, 0], m.uv[q, 1] - m.uv[p, 1]
-        ex, ey = m.uv[b, 0] - m.uv[p, 0], m.uv[b, 1] - m.uv[p, 1]
+        dx, dy = uv[q, 0] - uv[p, 0], uv[q, 1] - uv[p, 1]
+        ex, ey = uv[b, 0] - uv[p, 0], uv[b, 1] - uv[p, 1]
         t = joint
         if not paired:
             square = dx * dx + dy * dy
@@ -158,26 +172,26 @@ def removal_deviation(m, h):
     deviation : float, infinity where b is a corner
     g : the half-edge b -> q
     """
-    t = m.twin[h]
-    b = m.tail[t]
-    if m.num_silhouettes[b] != 2:
+    t = m.links[h, TWIN]
+    b = m.links[t, TAIL]
+    if m.vertices[b, SILHOUETTES] != 2:
         return math.inf, -1
-    g = other_silhouette(m, t)
-    tg = m.twin[g]
-    left, right = m.wedge[h] >= 0, m.wedge[t] >= 0
-    if g == t or (left != (m.wedge[g] >= 0)) or (right != (m.wedge[tg] >= 0)):
+    g = other_silhouette(m.links, t)
+    tg = m.links[g, TWIN]
+    left, right = m.links[h, WEDGE] >= 0, m.links[t, WEDGE] >= 0
+    if g == t or (left != (m.links[g, WEDGE] >= 0)) or (right != (m.links[tg, WEDGE] >= 0)):
         return math.inf, -1  # a seam that runs out into a boundary
     before = max(m.deviation[h], m.deviation[g])
     if m.settings[STRICT] == STRICT_NONE:
         return before, g
     distance, _ = line_distance(
-        m,
-        m.wedge[h],
-        m.wedge[next_of(t)],
-        m.wedge[next_of(h)],
-        m.wedge[t],
-        m.wedge[next_of(g)],
-        m.wedge[tg],
+        m.uv,
+        m.links[h, WEDGE],
+        m.links[next_of(t), WEDGE],
+        m.links[next_of(h), WEDGE],
+        m.links[t, WEDGE],
+        m.links[next_of(g), WEDGE],
+        m.links[tg, WEDGE],
         m.settings[STRICT] == STRICT_SEAMLESS and left and right,
     )
     return before + distance, g
@@ -193,17 +207,17 @@ def orient(m, h):
     h : the edge's half-edge that starts at the end to keep
     free_ends : 2 where both ends may move, 1 where the kept one is fixed
     """
-    t = m.twin[h]
-    a, b = m.tail[h], m.tail[t]
-    infinity = len(m.out) - 1
+    t = m.links[h, TWIN]
+    a, b = m.links[h, TAIL], m.links[t, TAIL]
+    infinity = len(m.vertices) - 1
     if a == infinity or b == infinity:
         return VIRTUAL, h, 0
-    if not is_silhouette(m, h):
-        if m.num_silhouettes[a] > 0 and m.num_silhouettes[b] > 0:
+    if not is_silhouette(m.links, h):
+        if m.vertices[a, SILHOUETTES] > 0 and m.vertices[b, SILHOUETTES] > 0:
             return TWO_SILHOUETTES, h, 0
-        if m.num_silhouettes[b] > 0:
+        if m.vertices[b, SILHOUETTES] > 0:
             return ALLOWED, t, 1
-        return ALLOWED, h, 1 if m.num_silhouettes[a] > 0 else 2
+        return ALLOWED, h, 1 if m.vertices[a, SILHOUETTES] > 0 else 2
     tolerance = m.settings[SEAM_TOLERANCE]
     drop_b, _ = removal_deviation(m, h)
     drop_a, _ = removal_deviation(m, t)

@@ -21,6 +21,7 @@ from preprocess.mesh import Floats, Ints, TexturedSurface
 
 Longs = NDArray[np.int64]
 
+TAIL, WEDGE, TWIN = 0, 1, 2  # columns of the table of half-edges
 NO_WEDGE = -1  # the wedge of a virtual face's corner
 
 
