@@ -23,6 +23,7 @@ log = logging.getLogger(__name__)
 
 POSES_A_CLIP = 2  # sampled moments of each clip for sizes, costs and errors
 MAX_POSES = 8
+GUTTER_SIZE_PX, GUTTER_PX = 512, 4.0  # charts stay apart in geometry and weight textures of this size
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,14 @@ def build(model: Path, destination: Path, settings: Settings, progress: Progress
 
 def _build_atlas(character: Character, settings: Settings) -> Atlas:
     floor = floor_faces(character.mesh.num_faces, settings.floor_rel)
-    return build_atlas(character.mesh, mode=settings.atlas, floor=floor)
+    return build_atlas(
+        character.mesh,
+        mode=settings.atlas,
+        floor=floor,
+        size_px=GUTTER_SIZE_PX,
+        gutter_px=GUTTER_PX,
+        straighten_rel=settings.straighten_rel,
+    )
 
 
 def sample_poses(character: Character) -> Floats:

@@ -56,8 +56,8 @@ class Settings:
 
 
 # Accuracy that automatic sizes must reach at the vertices of the full mesh, as fractions of the bounding diagonal.
-GEOMETRY_RMS_REL = 1e-4
-GEOMETRY_MAX_REL = 1e-3
+GEOMETRY_RMS_REL = 2e-4
+GEOMETRY_MAX_REL = 2e-3
 MIN_FLOOR_FACES = 200
 
 

@@ -14,8 +14,9 @@ from preprocess.texels import sample_bilinear
 log = logging.getLogger(__name__)
 
 GEOMETRY_SIZES_PX = (128, 192, 256, 384, 512, 768, 1024, 1536, 2048)
-WEIGHT_SIZES_PX = (64, 96, 128, 192, 256, 384, 512)
-MARGIN = 0.5  # of the accuracy goals: seam erasure adds its own part
+WEIGHT_SIZES_PX = (64, 96, 128, 192, 256, 384, 512, 768)
+RMS_MARGIN, MAX_MARGIN = 0.5, 0.8  # of the accuracy goals: seam erasure and rounding add their own part
+TEXELS_A_VERTEX = 1.5  # fewer cannot hold a value of its own for every vertex
 
 
 def choose_geometry_size(mesh: SkinnedMesh) -> int:
@@ -23,8 +24,8 @@ def choose_geometry_size(mesh: SkinnedMesh) -> int:
     expected = vertex_values(mesh, mesh.surface.positions)
     diagonal_m = mesh.surface.diagonal_m
     for side in GEOMETRY_SIZES_PX:
-        if side * side < mesh.num_vertices:
-            continue  # fewer texels than vertices cannot hold them
+        if side * side < TEXELS_A_VERTEX * mesh.num_vertices:
+            continue
         error_m = np.linalg.norm(
             sample_bilinear(bake_positions(mesh, (side, side)), mesh.surface.uvs) - expected, axis=1
         )
@@ -50,6 +51,8 @@ def choose_weight_size(mesh: SkinnedMesh, poses: Floats) -> int:
     moved = np.einsum("pjik,vk->pvji", poses[:, :, :3], positions)
     exact = np.einsum("vj,pvji->pvi", dense, moved)
     for side in WEIGHT_SIZES_PX:
+        if side * side < TEXELS_A_VERTEX * mesh.num_vertices:
+            continue
         weights = sample_bilinear(bake_weights(mesh, num_joints, (side, side)), mesh.surface.uvs[owner])
         error_m = np.linalg.norm(np.einsum("vj,pvji->pvi", weights, moved) - exact, axis=2)
         if _good(error_m, mesh.surface.diagonal_m):
@@ -64,6 +67,6 @@ def _rms(error_m: Floats) -> float:
 
 def _good(error_m: Floats, diagonal_m: float) -> bool:
     return bool(
-        _rms(error_m) <= MARGIN * GEOMETRY_RMS_REL * diagonal_m
-        and error_m.max() <= MARGIN * GEOMETRY_MAX_REL * diagonal_m
+        _rms(error_m) <= RMS_MARGIN * GEOMETRY_RMS_REL * diagonal_m
+        and error_m.max() <= MAX_MARGIN * GEOMETRY_MAX_REL * diagonal_m
     )
