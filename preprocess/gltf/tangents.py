@@ -80,7 +80,8 @@ def _borrow(tangents: Floats, have: NDArray[np.bool_], keys: Indices) -> NDArray
 def _any_tangent(normals: Floats) -> Floats:
     """Some unit vector across each normal, (N, 4), for what has no uv direction at all."""
     axis = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
-    return np.concatenate([_unit(np.cross(axis, normals)), np.ones((len(normals), 1))], axis=1)
+    across: Floats = np.cross(axis, normals).astype(np.float64)
+    return np.concatenate([_unit(across), np.ones((len(normals), 1))], axis=1)
 
 
 def compute_tangents(positions: Floats, faces: NDArray[np.integer], normals: Floats, uvs: Floats) -> Floats:
@@ -124,7 +125,7 @@ def compute_tangents(positions: Floats, faces: NDArray[np.integer], normals: Flo
     sums = np.stack([np.bincount(groups, angle * along[:, c], minlength=num_groups) for c in range(3)], axis=1)
 
     tangents = np.empty((3 * len(faces), 4))
-    tangents[:, :3] = _unit(sums)[groups]
+    tangents[:, :3] = _unit(sums.astype(np.float64, copy=False))[groups]
     tangents[:, 3] = np.repeat(np.where(area < 0, -1.0, 1.0), 3)
     have = (_dot(tangents[:, :3], tangents[:, :3]) > 0) & np.repeat(usable, 3)
     for keys in (ids, group_rows(faces.reshape(-1), *(flat_normals.T + 0.0))[0]):

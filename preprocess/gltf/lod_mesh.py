@@ -1,0 +1,127 @@
+"""A level of detail as ordinary vertex attributes: positions, normals, joints and weights from the full mesh.
+
+A texture vertex of the level lies somewhere in the atlas; the triangle of the full mesh that lies there too says what
+normal and which weights it has. Where several do (at a vertex or an edge), a corner takes the normal that its own
+face agrees with most, so hard edges stay hard without being marked. Vertices split where that differs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from preprocess.gltf.grouping import Indices, group_rows
+from preprocess.gltf.locate import Places, locate_uvs
+from preprocess.gltf.normals import face_normals
+from preprocess.mesh import Floats, SkinnedMesh, TexturedSurface
+
+SAME_NORMAL = 1e-3  # normals of one point that differ less, a component, are one vertex
+
+
+@dataclass(frozen=True)
+class LodMesh:
+    """Vertex attributes of a level. N vertices, F faces, K influences, a multiple of four.
+
+    Attributes
+    ----------
+    positions, normals : (N, 3) float32
+    uvs, owner_uvs : (N, 2) float32
+    joints : (N, K) uint8 or uint16
+    weights : (N, K) float32
+        Heaviest first, rows sum to one.
+    faces : (F, 3) int64
+    """
+
+    positions: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    uvs: NDArray[np.float32]
+    owner_uvs: NDArray[np.float32]
+    joints: NDArray[np.unsignedinteger]
+    weights: NDArray[np.float32]
+    faces: Indices
+
+
+def _corner_normals(mesh: SkinnedMesh, level: TexturedSurface, places: Places) -> Floats:
+    """The full mesh's normal at each corner of the level, on the side that the level's face is on, (F, 3, 3)."""
+    own = np.repeat(face_normals(level.positions, level.faces.astype(np.int64)), 3, axis=0)
+    points = level.face_uvs.reshape(-1)
+    counts = np.diff(np.r_[places.firsts, len(places.points)])[points]
+    corner = np.repeat(np.arange(len(points)), counts)
+    row = places.firsts[points][corner] + np.arange(len(corner)) - np.repeat(np.cumsum(counts) - counts, counts)
+    normals = np.einsum("rk,rkc->rc", places.barycentrics[row], mesh.corner_normals[places.faces[row]])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    agreement = np.round(np.einsum("rc,rc->r", normals, own[corner]), 6)  # ties go to the first: the same bits again
+    best = np.lexsort((np.arange(len(row)), -agreement, corner))
+    first = np.r_[True, corner[best][1:] != corner[best][:-1]]
+    return normals[best[first]].reshape(-1, 3, 3)
+
+
+def limit_influences(dense: Floats, num_influences: int) -> tuple[NDArray[np.int64], Floats]:
+    """The heaviest joints of each row, renormalised.
+
+    Parameters
+    ----------
+    dense : (N, J) float64
+    num_influences : int
+
+    Returns
+    -------
+    joints, weights : (N, num_influences)
+        Heaviest first; joint 0 where the weight is 0.
+    """
+    count = min(num_influences, dense.shape[1])
+    joints = np.argsort(-dense, axis=1, kind="stable")[:, :count]
+    weights = np.take_along_axis(dense, joints, axis=1)
+    weights = weights / weights.sum(axis=1, keepdims=True)
+    weights[weights < 1e-6] = 0.0
+    weights = weights / weights.sum(axis=1, keepdims=True)
+    joints = np.where(weights > 0, joints, 0)
+    missing = ((0, 0), (0, num_influences - count))
+    return np.pad(joints, missing), np.pad(weights, missing)
+
+
+def build_lod_mesh(
+    mesh: SkinnedMesh,
+    num_joints: int,
+    level: TexturedSurface,
+    owner_uvs: NDArray[np.integer],
+    num_influences: int,
+) -> LodMesh:
+    """Turn a level into vertex attributes.
+
+    Parameters
+    ----------
+    mesh : SkinnedMesh
+        The full character with the atlas as its uvs.
+    num_joints : int
+    level : TexturedSurface
+        Its uvs lie in the same atlas.
+    owner_uvs : (V,) int
+        The texture vertex that owns each surface vertex of the level.
+    num_influences : int
+        4 or 8.
+    """
+    places = locate_uvs(mesh.surface, level.uvs)
+    normals = _corner_normals(mesh, level, places)
+    owner_rows = places.firsts[owner_uvs]
+    dense = mesh.dense_weights(num_joints)
+    sources = mesh.surface.faces[places.faces[owner_rows]]
+    blended = np.einsum("vk,vkj->vj", places.barycentrics[owner_rows], dense[sources])
+    joints, weights = limit_influences(blended, num_influences)
+
+    flat = normals.reshape(-1, 3)
+    steps = np.rint(flat / SAME_NORMAL).astype(np.int64)
+    vertices, texture_vertices = level.faces.reshape(-1), level.face_uvs.reshape(-1)
+    index, corners = group_rows(vertices, texture_vertices, *steps.T)
+    surface_vertex = vertices[corners]
+    return LodMesh(
+        positions=level.positions[surface_vertex].astype(np.float32),
+        normals=flat[corners].astype(np.float32),
+        uvs=level.uvs[texture_vertices[corners]].astype(np.float32),
+        owner_uvs=level.uvs[owner_uvs[surface_vertex]].astype(np.float32),
+        joints=joints[surface_vertex].astype(np.uint8 if num_joints <= 256 else np.uint16),
+        weights=weights[surface_vertex].astype(np.float32),
+        faces=index.reshape(-1, 3),
+    )
