@@ -6,7 +6,7 @@ One eraser (grid, energies, factorisation) serves all textures of a size; one co
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -167,7 +167,10 @@ class TextureStage:
 
     def _material(self, texture: BakedTexture) -> StoredTexture:
         srgb_channels = 3 if texture.is_color else 0
-        return self._store(texture.name, texture.texels, texture.format, srgb_channels, self._joined_colors(texture))
+        joined = self._joined_colors(texture)
+        stored = self._store(texture.name, texture.texels, texture.format, srgb_channels, joined)
+        # What is copied lacks the material's factors: the model keeps them (model_materials.py).
+        return replace(stored, extra={**stored.extra, "copied": texture.copied})
 
     def _joined_colors(self, texture: BakedTexture) -> NDArray[np.bool_] | None:
         """Seams whose colours are joined: all, unless the sides differ by more than a painted border's threshold."""
