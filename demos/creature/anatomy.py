@@ -2,30 +2,41 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from demos.creature.field import Cone, Ellipsoid, Field, Floats, Piece, Vec
+
+EYE: Vec = (0.112, 0.672, 0.466)
+EYE_RADIUS = 0.063
 
 
 def _trunk() -> list[Piece]:
     return [
-        Piece("trunk", Ellipsoid((0, 0.315, -0.055), (0.178, 0.168, 0.245)), 0.10),
+        Piece("trunk", Ellipsoid((0, 0.306, -0.050), (0.190, 0.180, 0.245)), 0.10),
         Piece("trunk", Ellipsoid((0, 0.355, 0.135), (0.138, 0.150, 0.150)), 0.10),
-        Piece("trunk", Ellipsoid((0, 0.315, -0.235), (0.150, 0.145, 0.150)), 0.10),
+        Piece("trunk", Ellipsoid((0, 0.315, -0.235), (0.158, 0.150, 0.155)), 0.10),
         Piece("neck", Cone((0, 0.41, 0.19), (0, 0.56, 0.315), 0.118, 0.100), 0.09),
     ]
 
 
 def _tail() -> list[Piece]:
-    spine: list[tuple[Vec, float]] = [
-        ((0, 0.315, -0.33), 0.118),
-        ((0, 0.265, -0.49), 0.090),
-        ((0, 0.230, -0.63), 0.066),
-        ((0, 0.225, -0.76), 0.047),
-        ((0, 0.265, -0.88), 0.034),
-        ((0, 0.320, -0.95), 0.026),
-    ]
-    return [Piece("tail", Cone(a, b, ra, rb), 0.05) for (a, ra), (b, rb) in zip(spine, spine[1:])]
+    """Cones along a smooth curve of centres (y, z) and radii."""
+    knots = np.array(
+        [
+            (0.315, -0.30, 0.128),
+            (0.265, -0.49, 0.090),
+            (0.230, -0.63, 0.064),
+            (0.225, -0.76, 0.046),
+            (0.265, -0.88, 0.034),
+            (0.325, -0.955, 0.026),
+        ]
+    )
+    curve = CubicSpline(np.arange(len(knots)), knots)(np.linspace(0.0, len(knots) - 1.0, 16))
+    links = itertools.pairwise(curve.tolist())
+    return [Piece("tail", Cone((0, ya, za), (0, yb, zb), ra, rb), 0.035) for (ya, za, ra), (yb, zb, rb) in links]
 
 
 def _tail_fin() -> list[Piece]:
@@ -78,33 +89,36 @@ def _head() -> list[Piece]:
         Piece("muzzle", Ellipsoid((0.042, 0.640, 0.590), (0.026, 0.022, 0.028)), 0.03),
         Piece("nostril", Ellipsoid((0.048, 0.646, 0.622), (0.014, 0.010, 0.014), yaw=25), 0.014, carve=True),
         Piece("head", Cone((0.060, 0.752, 0.480), (0.150, 0.722, 0.405), 0.030, 0.026), 0.045),
-        Piece("eye", Ellipsoid((0.112, 0.672, 0.466), (0.062, 0.066, 0.062)), 0.007),
+        Piece("lid", Ellipsoid((0.107, 0.687, 0.454), (0.0675, 0.0675, 0.0675)), 0.012),
+        Piece("eye", Ellipsoid(EYE, (EYE_RADIUS,) * 3), 0.003),
         Piece("horn", Cone((0.062, 0.775, 0.330), (0.085, 0.850, 0.255), 0.034, 0.024), 0.02),
         Piece("horn", Cone((0.085, 0.850, 0.255), (0.096, 0.885, 0.190), 0.024, 0.009), 0.01),
     ]
 
 
+EAR_THIN: Vec = (0.45, 0.10, 0.90)  # across an ear, towards its inner side
+
+
 def _ear() -> list[Piece]:
-    thin = (0.45, 0.10, 0.90)
     return [
-        Piece("ear", Cone((0.145, 0.705, 0.310), (0.225, 0.770, 0.255), 0.045, 0.070, thin, 0.30), 0.03),
-        Piece("ear", Cone((0.225, 0.770, 0.255), (0.345, 0.850, 0.180), 0.070, 0.012, thin, 0.30), 0.02),
-        Piece("ear", Ellipsoid((0.255, 0.790, 0.305), (0.105, 0.045, 0.045), roll=35, yaw=28), 0.02, carve=True),
+        Piece("ear", Cone((0.145, 0.705, 0.310), (0.225, 0.772, 0.255), 0.046, 0.074, EAR_THIN, 0.34), 0.03),
+        Piece("ear", Cone((0.225, 0.772, 0.255), (0.345, 0.855, 0.180), 0.074, 0.020, EAR_THIN, 0.34), 0.02),
+        Piece("ear", Ellipsoid((0.246, 0.785, 0.298), (0.100, 0.043, 0.034), roll=35, yaw=28), 0.03, carve=True),
     ]
 
 
 def _wing() -> list[Piece]:
     """A stubby wing: fans of membrane in one plane, thicker along the leading edge."""
     root = np.array([0.080, 0.470, 0.050])
-    lead, trail = np.array([0.280, 0.175, -0.225]), np.array([0.105, 0.025, -0.280])
+    lead, trail = np.array([0.275, 0.215, -0.125]), np.array([0.165, -0.010, -0.215])
     thin = np.cross(lead, trail)
     pieces = []
     for along_lead, along_trail, size in ((1.0, 0.0, 0.036), (0.66, 0.48, 0.046), (0.22, 0.86, 0.042)):
         tip = root + along_lead * lead + along_trail * trail
-        pieces.append(Piece("wing", Cone(_vec(root), _vec(tip), 0.050, size, _vec(thin), 0.32), 0.03))
+        pieces.append(Piece("wing", Cone(_vec(root), _vec(tip), 0.050, size, _vec(thin), 0.30), 0.03))
     wrist = root + 0.55 * lead
-    pieces.append(Piece("wing", Cone(_vec(root), _vec(wrist), 0.032, 0.022), 0.03))
-    pieces.append(Piece("wing", Cone(_vec(wrist), _vec(root + 1.02 * lead), 0.022, 0.014), 0.02))
+    pieces.append(Piece("wing", Cone(_vec(root), _vec(wrist), 0.030, 0.019), 0.03))
+    pieces.append(Piece("wing", Cone(_vec(wrist), _vec(root + 1.02 * lead), 0.019, 0.013), 0.02))
     return pieces
 
 
@@ -116,7 +130,6 @@ def _crest() -> list[Piece]:
     """Leaf-shaped plates along the spine, larger over the shoulders."""
     side = (1.0, 0.0, 0.0)
     rows: tuple[tuple[float, float, float], ...] = (
-        (0.800, 0.290, 0.046),
         (0.735, 0.195, 0.050),
         (0.610, 0.150, 0.056),
         (0.520, 0.075, 0.060),
@@ -169,7 +182,8 @@ _EDGE_M = {
     "nostril": 0.0090,
     "jaw": 0.0120,
     "mouth": 0.0100,
-    "eye": 0.0100,
+    "eye": 0.0095,
+    "lid": 0.0095,
     "horn": 0.0115,
     "ear": 0.0135,
     "wing": 0.0135,

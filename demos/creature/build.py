@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ from demos.creature.field import Field
 from demos.creature.pack import pack_charts
 from demos.creature.paint import paint
 from demos.creature.polygonise import mirror_half, polygonise_half
-from demos.creature.remesh import remesh
+from demos.creature.remesh import remesh, smooth_seams
 from demos.creature.skeleton import build_joints
 from demos.creature.surface import Floats
 from demos.creature.texels import BodyMesh, compute_tangents
@@ -44,6 +43,7 @@ def build_mesh(field: Field) -> BodyMesh:
     points, faces, _ = mirror_half(points, faces)
     log.info("remeshed: %d vertices, %d faces", len(points), len(faces))
     charts, cut = cut_charts(field, points, faces)
+    points = smooth_seams(field, points, faces, cut)
     face_uvs, uv_to_vertex = split_at_cuts(faces, cut)
     flat = flatten_charts(points, face_uvs, uv_to_vertex, charts)
     is_head = assign_parts(field, points[faces].mean(axis=1)) == HEAD

@@ -6,6 +6,8 @@ limbs (slit down the back of the leg and along the sole), two ears and two wings
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
@@ -23,6 +25,7 @@ _PART_OF_REGION = {
     "muzzle": HEAD,
     "nostril": HEAD,
     "eye": HEAD,
+    "lid": HEAD,
     "horn": HEAD,
     "jaw": HEAD,
     "mouth": HEAD,
@@ -43,7 +46,7 @@ _SLITS: dict[int, tuple[tuple[float, float, float], ...]] = {
     LEG: ((0.11, 0.20, -0.29), (0.130, 0.13, -0.275), (0.150, 0.075, -0.30), (0.158, 0.0, -0.25), (0.160, 0.0, -0.16)),
     HEAD: ((0.0, 0.80, 0.305), (0.055, 0.790, 0.290), (0.085, 0.850, 0.225), (0.096, 0.890, 0.185)),
     EAR: ((0.165, 0.665, 0.285), (0.250, 0.715, 0.230), (0.350, 0.845, 0.150)),
-    WING: ((0.085, 0.50, 0.09), (0.205, 0.63, -0.02), (0.370, 0.645, -0.155)),
+    WING: ((0.075, 0.505, 0.06), (0.21, 0.61, 0.0), (0.365, 0.69, -0.075)),
 }
 
 
@@ -73,7 +76,7 @@ def _slit_path(points: Floats, edges: Ints, inside: NDArray[np.bool_], border: N
     usable = edges[inside[edges].all(axis=1)]
     middle = points[usable].mean(axis=1)
     off = np.full(len(usable), np.inf)
-    for start, end in zip(line[:-1], line[1:]):
+    for start, end in itertools.pairwise(line):
         axis = end - start
         t = np.clip((middle - start) @ axis / (axis @ axis), 0.0, 1.0)
         off = np.minimum(off, np.linalg.norm(middle - start - t[:, None] * axis, axis=1))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from demos.creature.anatomy import EAR_THIN, EYE
 from demos.creature.field import Field
 from demos.creature.noise import cells, fractal_noise
 from demos.creature.surface import Floats
@@ -33,7 +34,7 @@ _UMBER = _rgb("6a4030")
 _BLUSH = _rgb("f08a74")
 _DARK = _rgb("15191c")
 
-_EYE = np.array([0.112, 0.672, 0.466])
+_EYE = np.array(EYE)
 _GAZE = np.array([0.60, 0.10, 0.79]) / np.linalg.norm([0.60, 0.10, 0.79])
 
 
@@ -62,6 +63,7 @@ class _Canvas:
         self.points = texels.points
         self.folded = texels.points * np.where(texels.points[:, :1] < 0, [[-1.0, 1.0, 1.0]], [[1.0, 1.0, 1.0]])
         self.normals = texels.normals
+        self.folded_normals = texels.normals * np.where(texels.points[:, :1] < 0, [[-1.0, 1.0, 1.0]], [[1.0, 1.0, 1.0]])
         self.region = dict(zip(field.regions, field.regions_at(texels.points).T, strict=True))
 
     def share(self, *names: str) -> Floats:
@@ -101,17 +103,19 @@ def paint(field: Field, mesh: BodyMesh, occlusion: Floats) -> Textures:
     first, second, tone = cells(p / 0.0165, 3)
     edge = _step(0.02, 0.22, second - first)
     under = _underside(canvas)
-    skin = canvas.share("trunk", "neck", "tail", "arm", "leg", "head", "muzzle", "jaw", "nostril")
+    skin = canvas.share("trunk", "neck", "tail", "arm", "leg", "head", "lid", "muzzle", "jaw", "nostril")
 
     # Skin: deep teal above, lighter on the flanks and limbs, each scale its own tone.
     color = _mix(np.tile(_FLANK, (len(p), 1)), _BACK, _step(0.15, 0.95, up * 0.8 + 0.5 * noise))
     color = _mix(color, _LIGHT, 0.65 * _step(0.25, -0.5, up + 0.5 * (noise - 0.5)))
     color = _mix(color, _LIGHT, 0.45 * canvas.share("muzzle"))
     spot_first, _, spot_tone = cells(canvas.folded / 0.085 + 0.3 * noise[:, None], 11, 0.9)
-    spots = _step(0.34, 0.26, spot_first + 0.12 * spot_tone) * _step(-0.25, 0.25, up) * (1.0 - under)
+    spots = _step(0.43, 0.35, spot_first + 0.16 * spot_tone) * _step(-0.25, 0.25, up) * (1.0 - under)
     spots *= canvas.share("trunk", "tail", "leg", "neck", "head") * _step(0.50, 0.40, p[:, 2])
     color = _mix(color, _SPOT, 0.75 * spots)
     color *= (0.90 + 0.20 * tone)[:, None] * (0.80 + 0.20 * edge)[:, None]
+
+    skin_color = color
 
     # Belly: cream, with broad plates.
     along = np.where(canvas.share("neck", "head") > 0.5, p[:, 1] * 0.9 + p[:, 2] * 0.3, p[:, 2])
@@ -127,11 +131,19 @@ def paint(field: Field, mesh: BodyMesh, occlusion: Floats) -> Textures:
         color, _mix(np.tile(_CORAL, (len(p), 1)), _GOLD, tip) * (0.88 + 0.24 * noise)[:, None], _step(0.35, 0.75, flame)
     )
 
+    inner = np.einsum("nk,k->n", canvas.folded_normals, np.array(EAR_THIN) / np.linalg.norm(EAR_THIN))
+    back = canvas.share("ear") * _step(0.1, -0.5, inner) * _step(0.85, 0.35, tip)
+    color = _mix(color, skin_color, back)
+    blushing = _mix(np.tile(_BLUSH, (len(p), 1)), _BELLY, _step(0.25, 0.75, tip))
+    color = _mix(color, blushing, 0.8 * canvas.share("ear") * _step(0.45, 0.85, inner) * _step(0.95, 0.55, tip))
+
     # Horns and claws.
     bone = canvas.share("horn", "claw")
     ring = 0.5 + 0.5 * np.sin(p[:, 1] * 420.0)
     ivory = _mix(
-        np.tile(_IVORY, (len(p), 1)), _UMBER, 0.35 * canvas.share("horn") * _step(0.86, 0.78, p[:, 1]) + 0.1 * ring
+        np.tile(_IVORY, (len(p), 1)),
+        _UMBER,
+        0.55 * canvas.share("horn") * _step(0.845, 0.775, p[:, 1]) + 0.1 * ring * canvas.share("horn"),
     )
     color = _mix(color, ivory, _step(0.4, 0.7, bone))
 
@@ -147,7 +159,7 @@ def paint(field: Field, mesh: BodyMesh, occlusion: Floats) -> Textures:
 
     scale_height = 0.0011 * _step(0.0, 0.5, second - first) * (1.0 - 0.8 * under) * (1.0 - eye) * skin
     height = scale_height + 0.0016 * under * _step(0.0, 0.14, groove) * skin - 0.004 * mouth
-    height += 0.0009 * fractal_noise(p * 160.0, 2, 9) * (1.0 - eye) * (1.0 - 0.5 * bone)
+    height += 0.00035 * fractal_noise(p * 150.0, 2, 9) * (1.0 - eye) * (1.0 - 0.5 * bone)
 
     rough = 0.56 + 0.14 * (noise - 0.5) - 0.10 * edge * skin + 0.08 * under
     rough = rough * (1.0 - bone) + 0.38 * bone
@@ -175,10 +187,11 @@ def _tipness(canvas: _Canvas) -> Floats:
 def _mouth_line(canvas: _Canvas) -> Floats:
     """A smile: dark along a curve around the muzzle."""
     f = canvas.folded
-    curve = 0.571 + 0.045 * _step(0.075, 0.15, f[:, 0]) - 0.25 * (f[:, 0] - 0.05) ** 2
+    curve = 0.570 + 0.034 * _step(0.060, 0.125, f[:, 0]) - 0.012 * _step(0.0, 0.045, f[:, 0]) + 0.012
+    width = 0.0042 - 0.0018 * _step(0.09, 0.13, f[:, 0])
     near = np.abs(f[:, 1] - curve)
-    front = _step(0.40, 0.43, f[:, 2])
-    return _step(0.0065, 0.0025, near) * front * canvas.share("muzzle", "jaw", "head")
+    front = _step(0.440, 0.462, f[:, 2])
+    return _step(1.0, 0.45, near / width) * front * canvas.share("muzzle", "jaw", "head")
 
 
 def _eye_color(canvas: _Canvas) -> Floats:
@@ -186,12 +199,19 @@ def _eye_color(canvas: _Canvas) -> Floats:
     outwards /= np.maximum(np.linalg.norm(outwards, axis=1), 1e-9)[:, None]
     angle = np.degrees(np.arccos(np.clip(outwards @ _GAZE, -1.0, 1.0)))
     above = outwards[:, 1] - _GAZE[1]
+    across = np.cross([0.0, 1.0, 0.0], _GAZE)
+    azimuth = np.arctan2(above, outwards @ across)
     color = np.tile(_rgb("f6efe2"), (len(angle), 1))
-    iris = _mix(np.tile(_rgb("ffb52e"), (len(angle), 1)), _rgb("b8480f"), _step(-0.1, 0.55, above))
-    color = _mix(color, iris, _step(47.0, 44.0, angle))
-    color = _mix(color, _rgb("3a1c10"), _step(38.0, 46.0, angle) * _step(50.0, 46.0, angle))
-    color = _mix(color, _rgb("120d10"), _step(29.0, 26.0, angle))
-    for offset, size in (((-0.10, 0.34, 0.08), 12.0), ((0.12, -0.22, 0.0), 6.0)):
+    ray = 0.5 + 0.5 * fractal_noise(np.stack([azimuth * 9.0, angle * 0.04, np.zeros(len(angle))], axis=1), 2, 21)
+    iris = _mix(np.tile(_rgb("ffc23a"), (len(angle), 1)), _rgb("c4500e"), _step(-0.25, 0.55, above))
+    iris *= (0.72 + 0.42 * ray)[:, None]
+    color = _mix(color, iris, _step(56.0, 53.0, angle))
+    color = _mix(color, _rgb("2c130c"), 0.9 * _step(47.0, 54.0, angle) * _step(59.0, 55.0, angle))
+    color = _mix(
+        color, _rgb("ffd873"), 0.5 * _step(40.0, 47.0, angle) * _step(50.0, 46.0, angle) * _step(0.1, -0.5, above)
+    )
+    color = _mix(color, _rgb("0d090c"), _step(36.0, 33.0, angle))
+    for offset, size in (((-0.16, 0.36, 0.08), 14.0), ((0.16, -0.26, 0.0), 7.0)):
         towards = _GAZE + np.array(offset)
         spot = np.degrees(np.arccos(np.clip(outwards @ (towards / np.linalg.norm(towards)), -1.0, 1.0)))
         color = _mix(color, np.ones(3), 0.95 * _step(size, size - 3.0, spot))

@@ -35,7 +35,7 @@ def _independent(edges: Ints, rank: Ints, all_edges: Ints, num_vertices: int) ->
     return (around[edges] >= rank[:, None]).all(axis=1)
 
 
-def _collapse_round(field: Field, points: Floats, faces: Ints, sizes: Floats) -> tuple[Floats, Ints, Floats, int]:
+def _collapse_round(points: Floats, faces: Ints, sizes: Floats) -> tuple[Floats, Ints, Floats, int]:
     edges, _, count = unique_edges(faces)
     border_edge = count == 1
     border = np.zeros(len(points), bool)
@@ -67,10 +67,6 @@ def _collapse_round(field: Field, points: Floats, faces: Ints, sizes: Floats) ->
     target = 0.5 * (points[a] + points[b])
     pinned = border[a] & ~border[b]
     target[pinned] = points[a[pinned]]
-    moved = field.project(target, 1)
-    moved[border[a], 0] = 0.0
-    target = np.where(pinned[:, None], target, moved)
-
     owner = np.full(len(points), -1)
     owner[a] = owner[b] = np.arange(len(candidate))
     of_face = owner[faces]
@@ -176,7 +172,7 @@ def relax(field: Field, points: Floats, faces: Ints, fixed: NDArray[np.bool_], c
     pick = sparse.diags((~on_chain).astype(float)) @ free_edges + sparse.diags(on_chain.astype(float)) @ chain_edges
     degree = np.maximum(np.asarray(pick.sum(axis=1)).ravel(), 1.0)
     middle = points[:, 0] == 0.0
-    for _ in range(rounds):
+    for step in range(rounds):
         face_normal, area = face_normals(points, faces)
         normal = np.zeros((count, 3))
         for k in range(3):
@@ -187,7 +183,8 @@ def relax(field: Field, points: Floats, faces: Ints, fixed: NDArray[np.bool_], c
         move -= (move * normal).sum(axis=1)[:, None] * normal
         move[fixed] = 0.0
         points = points + 0.6 * move
-        points = points - np.clip(field.distance(points), -0.004, 0.004)[:, None] * normal
+        if step % 3 == 2 or step == rounds - 1:
+            points = points - np.clip(field.distance(points), -0.004, 0.004)[:, None] * normal
         points[middle, 0] = 0.0
     return points
 
@@ -212,7 +209,7 @@ def remesh(field: Field, points: Floats, faces: Ints, sizes: Floats) -> tuple[Fl
     """
     for stage in range(5):
         for _ in range(4):
-            points, faces, sizes, done = _collapse_round(field, points, faces, sizes)
+            points, faces, sizes, done = _collapse_round(points, faces, sizes)
             if done < 8:
                 break
         for _ in range(3):
@@ -222,4 +219,25 @@ def remesh(field: Field, points: Floats, faces: Ints, sizes: Floats) -> tuple[Fl
         points = relax(field, points, faces, np.zeros(len(points), bool), borders, 2 if stage < 4 else 4)
     for _ in range(3):
         faces, _ = _flip_round(points, faces)
+    middle = points[:, 0] == 0.0
+    points = field.project(points)
+    points[middle, 0] = 0.0
     return points, faces
+
+
+def smooth_seams(field: Field, points: Floats, faces: Ints, cut: NDArray[np.bool_], rounds: int = 14) -> Floats:
+    """Turn the zigzag of cut edges into smooth curves on the skin, the other vertices following.
+
+    Parameters
+    ----------
+    field : Field
+    points : (V, 3) float64
+    faces : (F, 3) int64
+    cut : (E,) bool
+        Of the edges of `unique_edges(faces)`. Where other than two of them meet, the vertex stays.
+    rounds : int
+    """
+    edges, _, _ = unique_edges(faces)
+    seams = edges[cut]
+    fixed = ~np.isin(np.bincount(seams.reshape(-1), minlength=len(points)), (0, 2))
+    return field.project(relax(field, points, faces, fixed, seams, rounds))

@@ -37,7 +37,7 @@ _PLAN: tuple[tuple[str, str | None, tuple[float, float, float]], ...] = (
     ("shin.L", "thigh.L", (0.165, 0.185, -0.145)),
     ("foot.L", "shin.L", (0.158, 0.075, -0.255)),
     ("wing.L", "chest", (0.085, 0.475, 0.045)),
-    ("wing_tip.L", "wing.L", (0.205, 0.60, -0.03)),
+    ("wing_tip.L", "wing.L", (0.218, 0.578, -0.013)),
 )
 
 # Where the last bone of a chain ends; the other bones end at their child.
@@ -49,7 +49,7 @@ _TIPS = {
     "tail_5": (0.0, 0.40, -1.03),
     "hand.L": (0.150, 0.03, 0.275),
     "foot.L": (0.160, 0.03, -0.125),
-    "wing_tip.L": (0.36, 0.61, -0.17),
+    "wing_tip.L": (0.355, 0.66, -0.12),
 }
 
 

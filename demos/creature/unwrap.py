@@ -15,7 +15,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from demos.creature.surface import Floats, Ints, corner_cotangents, unique_edges, weighted_laplacian
+from demos.creature.surface import Floats, Ints, corner_cotangents, half_edges, unique_edges, weighted_laplacian
 
 log = logging.getLogger(__name__)
 
@@ -117,6 +117,29 @@ def _make_rigid(points: Floats, faces: Ints, uvs: Floats, rounds: int) -> Floats
     return uvs
 
 
+def _fill_holes(points: Floats, faces: Ints) -> tuple[Floats, Ints]:
+    """Close every border loop but the longest with a fan around its centre, so that holes keep their size when flat."""
+    _edges, edge_of_half, count = unique_edges(faces)
+    start, end, _ = half_edges(faces)
+    border = count[edge_of_half] == 1
+    following = dict(zip(start[border].tolist(), end[border].tolist(), strict=True))
+    loops: list[list[int]] = []
+    while following:
+        loop = [next(iter(following))]
+        while loop[-1] in following:
+            loop.append(following.pop(loop[-1]))
+        loops.append(loop[:-1])
+    loops.sort(key=lambda loop: -float(np.linalg.norm(points[loop] - points[np.roll(loop, 1)], axis=1).sum()))
+    centres, fans = [], []
+    for loop in loops[1:]:
+        apex = len(points) + len(centres)
+        centres.append(points[loop].mean(axis=0))
+        fans.append(np.stack([np.roll(loop, -1), loop, np.full(len(loop), apex)], axis=1))
+    if not fans:
+        return points, faces
+    return np.concatenate([points, centres]), np.concatenate([faces, *fans])
+
+
 def _is_one_to_one(uvs: Floats, faces: Ints, resolution: int = 384) -> bool:
     """No triangle flipped, and no pixel centre covered twice."""
     a, b, c = (uvs[faces[:, k]] for k in range(3))
@@ -154,10 +177,11 @@ def flatten_charts(points: Floats, face_uvs: Ints, uv_to_vertex: Ints, charts: I
     for chart in range(int(charts.max()) + 1):
         used, local = np.unique(face_uvs[charts == chart], return_inverse=True)
         faces, corners = local.reshape(-1, 3), points[uv_to_vertex[used]]
-        conformal = _conformal_map(corners, faces)
+        filled, filled_faces = _fill_holes(corners, faces)
+        conformal = _conformal_map(filled, filled_faces)
         flat = None
         for rounds in (_RIGID_ROUNDS, 4, 1, 0):
-            candidate = _make_rigid(corners, faces, conformal, rounds)
+            candidate = _make_rigid(filled, filled_faces, conformal, rounds)[: len(used)]
             if _is_one_to_one(candidate, faces):
                 flat = candidate
                 break

@@ -27,6 +27,7 @@ _REGION_JOINTS: dict[str, tuple[str, ...]] = {
     "muzzle": ("head",),
     "nostril": ("head",),
     "eye": ("head",),
+    "lid": ("head",),
     "horn": ("head",),
     "jaw": ("jaw",),
     "mouth": ("head", "jaw"),
