@@ -110,7 +110,7 @@ def test_fewest_runs(seed: int, dims: int) -> None:
     )
     for limit in (1e-9, 0.2, 0.6, 2.0):
         blank = np.ones(n, bool), np.zeros(n)
-        kept, fractions = simplify_chains(chains, joint, np.array([limit]), keep, *blank, np.array([True]))
+        kept, fractions = simplify_chains(chains, joint, np.full(n, limit), keep, *blank, np.array([True]))
         assert kept[keep].all()
         moved = straight_points(joint, kept, fractions)
         assert np.linalg.norm(moved - joint, axis=1).max() <= limit * (1 + 1e-12)

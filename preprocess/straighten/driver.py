@@ -2,9 +2,9 @@
 
 silhouette > chains > runs (joint simplification, no crossings) > split edges > fold-free interior.
 
-Where a run crosses another one, or leaves a face folded or badly distorted, the tolerance is given up locally: the
-point near there that moved farthest stays, and the run becomes two. (The paper halves a whole chart's tolerance.) In
-the limit that restores the outline as it was, so that the loop ends.
+Where a run crosses another one, or leaves a face folded or badly distorted, the tolerance is halved for the points near
+there alone. (The paper's authors halve a whole chart's.) In the limit that restores the outline as it was, so that the
+loop ends.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from preprocess.straighten.runs import (
     find_edges_on_one_run,
     find_points_near_faces,
     interior_edges,
-    pick_farthest_points,
+    tighten_limits,
 )
 from preprocess.straighten.simplify import chain_extents_uv, joint_points, simplify_chains, straight_points
 
@@ -45,8 +45,8 @@ Bools = NDArray[np.bool_]
 DEFAULT_TOLERANCE_REL = 0.01  # the paper's, of the diagonal of a component's bounding box
 DEFAULT_DISTORTION = 4.0  # a face may become eight times as long as wide, measured against its shape before
 DEFAULT_GAP_UV = 4.0 / 1024.0  # four texels at the usual size: a bilinear cell on either side, and one mip level
-MOST_ROUNDS = 40  # of giving points back
-LAST_ROUNDS = 4  # of them, in which everything near a fault goes back, and then everything
+MOST_ROUNDS = 40  # of halving tolerances
+LAST_ROUNDS = 4  # of them, in which everything near a fault stays, and then everything
 THIN_AREA = 0.05  # of its rest area: a triangle with three fixed corners below gets free ones
 
 
@@ -75,7 +75,7 @@ class Straightened:
     collapsible_fraction : float
         Share of the silhouette's length in space that lies in runs of two edges or more; 1 without silhouette.
     reduced_charts : (R,) int32
-        Charts (of `chart_of_faces`) where points were given back because of a crossing, a fold or distortion.
+        Charts (of `chart_of_faces`) where the tolerance was reduced because of a crossing, a fold or distortion.
     distortion : float
         Largest |J|² / (2 det J) of a face against its shape before: 1 where angles are kept.
     folded : int
@@ -153,7 +153,7 @@ def straighten(
         raise ValueError(f"most_distortion must be above 1, not {most_distortion}")
     chains = find_chains(surface)
     joint = joint_points(chains, surface.uvs)
-    limits = tolerance_rel * chain_extents_uv(chains, joint)
+    limits = tolerance_rel * chain_extents_uv(chains, joint)[chains.point_chains]
     face_charts = chart_of_faces(surface)
     uv_charts = np.zeros(len(surface.uvs), np.int64)
     uv_charts[surface.face_uvs] = face_charts[:, None]
@@ -162,7 +162,7 @@ def straighten(
     must_keep = np.zeros(len(joint), bool)
     must_keep[chains.offsets[:-1]] = must_keep[chains.offsets[1:] - 1] = True
     must_keep |= tolerance_rel == 0.0
-    given_back = np.zeros(len(joint), bool)
+    reduced = np.zeros(len(joint), bool)
     kept, fractions = np.ones(len(joint), bool), np.zeros(len(joint))
     todo = np.ones(chains.num_chains, bool)
     for round_number in range(MOST_ROUNDS):
@@ -175,15 +175,15 @@ def straighten(
                 break
             bad_faces = np.unique(result.split.face_source[result.is_bad]).astype(np.int64)
             spoiled = find_points_near_faces(surface, chains, kept, bad_faces)
-        if round_number >= MOST_ROUNDS - 2:
-            spoiled = ~kept
-        elif round_number < MOST_ROUNDS - LAST_ROUNDS:
-            spoiled = pick_farthest_points(joint, moved, kept, spoiled)
-        given_back |= spoiled
-        must_keep = must_keep | spoiled
+        tightened = tighten_limits(limits, joint, moved, kept, spoiled)
+        reduced |= spoiled
+        must_keep = must_keep | (spoiled & (tightened >= limits))
+        limits = tightened
+        if round_number >= MOST_ROUNDS - LAST_ROUNDS:
+            must_keep |= spoiled if round_number < MOST_ROUNDS - 2 else ~kept
         todo = np.zeros(chains.num_chains, bool)
         todo[chains.point_chains[spoiled]] = True
-    return _describe(surface, chains, kept, fractions, result, uv_charts[chains.uv_ids[given_back, 0]])
+    return _describe(surface, chains, kept, fractions, result, uv_charts[chains.uv_ids[reduced, 0]])
 
 
 def _remap(surface: TexturedSurface, chains: Chains, moved: Floats, kept: Bools, most_distortion: float) -> _Remapped:

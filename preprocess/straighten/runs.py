@@ -14,6 +14,7 @@ from preprocess.straighten.simplify import joint_points, run_ends
 
 Bools = NDArray[np.bool_]
 
+LEAST_LIMIT = 1e-3  # of a limit: below, points stay rather than move less
 SEARCH_RINGS = 8  # of faces between a face and the silhouette that spoils it
 
 
@@ -121,15 +122,30 @@ def find_crossing_points(chains: Chains, joint: Floats, moved: Floats, kept: Boo
     return is_bad[before] & ~kept
 
 
-def pick_farthest_points(joint: Floats, moved: Floats, kept: Bools, bad: Bools) -> Bools:
-    """Of every run with bad points, the one that moved farthest, (P,) bool."""
-    points = np.flatnonzero(bad)
-    distance = np.linalg.norm(moved[points] - joint[points], axis=1)
+def tighten_limits(limits_uv: Floats, joint: Floats, moved: Floats, kept: Bools, spoiled: Bools) -> Floats:
+    """Allow spoiled points half of what the farthest of them moved on their run, where that is not next to nothing.
+
+    Parameters
+    ----------
+    limits_uv : (P,) float64
+        How far every point might move.
+    joint, moved : (P, 4) float64
+        Points before and after.
+    kept, spoiled : (P,) bool
+
+    Returns
+    -------
+    (P,) float64
+    """
+    points = np.flatnonzero(spoiled)
     run = run_ends(kept)[0][points]
-    order = np.lexsort((points, -distance, run))
-    first = np.r_[True, run[order][1:] != run[order][:-1]]
-    result = np.zeros(len(kept), bool)
-    result[points[order][first]] = True
+    farthest = np.zeros(len(kept))
+    np.maximum.at(farthest, run, np.linalg.norm(moved[points] - joint[points], axis=1))
+    half = 0.5 * farthest[run]
+    result = limits_uv.copy()
+    result[points] = np.where(
+        half > LEAST_LIMIT * limits_uv[points], np.minimum(half, limits_uv[points]), limits_uv[points]
+    )
     return result
 
 

@@ -54,7 +54,7 @@ def _run_fractions(joint, length, i, j, fractions):  # type: ignore[no-untyped-d
 
 
 @numba.njit(cache=True)
-def _run_cost(joint, length, sides, i, j, limit_sq, fractions, suspect):  # type: ignore[no-untyped-def]
+def _run_cost(joint, length, sides, i, j, limits_sq, fractions, suspect):  # type: ignore[no-untyped-def]
     """Sum of squared displacements of the run i..j, or -1 - k where point k moves farther than allowed."""
     dims = joint.shape[1]
     if j == i + 1:
@@ -72,7 +72,7 @@ def _run_cost(joint, length, sides, i, j, limit_sq, fractions, suspect):  # type
         for d in range(dims):
             dot += (joint[suspect, d] - joint[i, d]) * (joint[j, d] - joint[i, d])
             far += (joint[suspect, d] - joint[i, d]) ** 2
-        if far - dot * dot / square > limit_sq:
+        if far - dot * dot / square > limits_sq[suspect]:
             return -1.0 - suspect
     if not _run_fractions(joint, length, i, j, fractions):
         return -1.0 - (i + j) // 2
@@ -81,14 +81,14 @@ def _run_cost(joint, length, sides, i, j, limit_sq, fractions, suspect):  # type
         moved = 0.0
         for d in range(dims):
             moved += (joint[i, d] + fractions[k] * (joint[j, d] - joint[i, d]) - joint[k, d]) ** 2
-        if moved > limit_sq:
+        if moved > limits_sq[k]:
             return -1.0 - k
         total += moved
     return total
 
 
 @numba.njit(cache=True)
-def _simplify(joint, length, sides, must_keep, limit_sq):  # type: ignore[no-untyped-def]
+def _simplify(joint, length, sides, must_keep, limits_sq):  # type: ignore[no-untyped-def]
     """Fewest runs that cover a chain: kept points (n,) bool and the fraction of every point on its run (n,).
 
     Breadth-first search: layer r holds the points that r runs reach. No run crosses a point that must stay.
@@ -107,7 +107,7 @@ def _simplify(joint, length, sides, must_keep, limit_sq):  # type: ignore[no-unt
             suspect = -1
             for j in range(i + 1, n):
                 if layer[j] < 0 or layer[j] == current + 1:
-                    moved = _run_cost(joint, length, sides, i, j, limit_sq, fractions, suspect)
+                    moved = _run_cost(joint, length, sides, i, j, limits_sq, fractions, suspect)
                     if moved < 0.0:
                         suspect = int(-moved - 1.0)
                     elif layer[j] < 0 or cost[i] + moved < cost[j]:
@@ -150,7 +150,7 @@ def _simplify_all(offsets, joint, is_seam, must_keep, limits_sq, kept, fractions
                 y = chain[k, 2 * side + 1] - chain[k - 1, 2 * side + 1]
                 sides[k, side] = sides[k - 1, side] + np.sqrt(x * x + y * y)
             length[k] = length[k - 1] + np.sqrt(((chain[k] - chain[k - 1]) ** 2).sum())
-        kept[low:high], fractions[low:high] = _simplify(chain, length, sides, keep, limits_sq[c])
+        kept[low:high], fractions[low:high] = _simplify(chain, length, sides, keep, limits_sq[low:high])
 
 
 def joint_points(chains: Chains, uvs: Floats) -> Floats:
@@ -187,8 +187,8 @@ def simplify_chains(
     chains : Chains
     joint : (P, 4) float64
         From `joint_points`.
-    limits_uv : (C,) float64
-        Farthest that a point of each chain may move in the joint space.
+    limits_uv : (P,) float64
+        Farthest that each point may move in the joint space.
     must_keep : (P,) bool
         Points that stay whatever the tolerance.
     kept : (P,) bool
