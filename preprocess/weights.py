@@ -3,9 +3,10 @@
 The paper (section 8) stores weight maps as 8-bit images, one channel a joint, and normalises on the fly. A texel of
 a real character moves with a few joints only, so what is stored here is a list of (joint, weight) pairs a texel, most
 important first, as a stack of RGBA images under one another: joints of slots 0-3, weights of slots 0-3, joints of
-slots 4-7 and so on. Weights have 255 steps, joint numbers as many bits as they need. Rounding keeps each texel's weights
-summing to exactly one, so nothing has to be normalised: a bilinear blend of partitions of unity is one. The runtime rearranges the stack into records a 2x2 cell
-(runtime/weight_cells.py) and docs/format.md tells why.
+slots 4-7 and so on. Weights have 255 steps, joint numbers as many bits as they need. Rounding
+keeps each texel's weights summing to exactly one, so nothing has to be normalised: a bilinear blend of partitions of
+unity is one. The runtime rearranges the stack into records a 2x2 cell (runtime/weight_cells.py); docs/format.md tells
+why.
 """
 
 from __future__ import annotations

@@ -163,6 +163,7 @@ class Model:
         self._released = False
         self._owned: list[Any] = []
         self._line_buffers: dict[int, moderngl.Buffer] = {}
+        self._edge_texels: dict[int, float] = {}
         self._patch_buffers: dict[int, moderngl.Buffer] = {}
         self._vertex_arrays: dict[tuple[Any, ...], moderngl.VertexArray] = {}
         self._joint_texture: moderngl.Texture | None = None
@@ -238,6 +239,14 @@ class Model:
             indices = build_patches(mesh.uvs, mesh.owner_uvs, mesh.triangles)
             self._patch_buffers[level] = self._keep(self.ctx.buffer(self._index_bytes(mesh, indices)))
         return self._patch_buffers[level]
+
+    def longest_edge_texels(self, level: int) -> float:
+        """Length of a level's longest edge in texels of the position texture, along its longer axis."""
+        if level not in self._edge_texels:
+            mesh = self.lods[level].mesh
+            corners = mesh.uvs[mesh.triangles.astype(np.int64)] * self.asset.textures["position"].size
+            self._edge_texels[level] = float(np.abs(corners - np.roll(corners, 1, axis=1)).max())
+        return self._edge_texels[level]
 
     def seam_lines(self, level: int) -> moderngl.Buffer | None:
         """Index buffer of a level's seam edges, None where it has none (made when first asked for)."""

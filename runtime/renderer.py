@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 FRAME_BINDING = 0
 FRAME_FLOATS = 4 * 18
 MAX_FACTOR = 64.0  # every OpenGL with tessellation has it
+# Mesa's software rasteriser numbers the vertices that one call tessellates with 16 bits, and drops what is beyond.
+SOFTWARE_RENDERERS = ("llvmpipe", "softpipe")
+SOFTWARE_VERTICES_A_CALL = 60_000
 _PATCH_STAGES = ("patch.vert", "patch.tesc", "patch.tese")
 
 
@@ -119,6 +122,8 @@ class Renderer:
         self._programs: dict[tuple[str, bool], moderngl.Program] = {}
         self._models: weakref.WeakSet[Model] = weakref.WeakSet()
         self._levels: weakref.WeakKeyDictionary[Actor, int] = weakref.WeakKeyDictionary()
+        self._is_software = any(name in ctx.info["GL_RENDERER"] for name in SOFTWARE_RENDERERS)
+        self._factor = 0.0
         self._released = False
         self._lighting = lighting or Lighting()
         self._reflection: moderngl.Texture | None = None
@@ -243,7 +248,7 @@ class Renderer:
         self._require_usable()
         if view not in self._views:
             raise RenderError(f"no view {view!r}: one of {', '.join(self._views)}")
-        factor = self._checked_tessellation(tessellation)
+        factor = self._factor = self._checked_tessellation(tessellation)
         things = tuple(actors)
         crowds = [thing for thing in things if isinstance(thing, DrawsItself)]
         batches = gather(thing for thing in things if not isinstance(thing, DrawsItself))
@@ -446,9 +451,23 @@ class Renderer:
         mode = moderngl.PATCHES if group.tessellated else moderngl.TRIANGLES
         gl.glFrontFace(gl_state.CW if group.mirrored else gl_state.CCW)
         for part in ranges:
-            gl.switch(gl_state.CULL_FACE, not part.material.double_sided)
+            gl.switch(gl_state.CULL_FACE, not (part.material.double_sided or view.two_sided))
             set_material(program, part.material, view.blends)
-            array.render(mode, vertices=part.count * per_face, first=part.first * per_face, instances=count)
+            at_once = (
+                self._patches_a_call(model, group.level) if group.tessellated and self._is_software else part.count
+            )
+            for first in range(0, part.count, at_once):
+                faces = min(at_once, part.count - first)
+                array.render(mode, vertices=faces * per_face, first=(part.first + first) * per_face, instances=count)
+
+    def _patches_a_call(self, model: Model, level: int) -> int:
+        """How many patches a software rasteriser takes in one call, whatever their factors turn out to be."""
+        factor = self._factor
+        if not factor:
+            factor = min(MAX_FACTOR, model.longest_edge_texels(level) / self.quality.texels_a_segment)
+        segments = int(np.ceil(factor)) + 1  # fractional spacing rounds up to an odd number
+        vertices = 3 * (segments // 2 + 1) ** 2  # rings of 3 n, 3 (n - 2) ... vertices
+        return max(1, SOFTWARE_VERTICES_A_CALL // vertices)
 
     def _draw_lines(self, gl: Functions, group: _Group, count: int, lines: str) -> None:
         uniforms = {"flat_color": LINE_COLORS[lines]}

@@ -33,6 +33,8 @@ class View:
     is_lit : bool
         Whether smooth edges (multisampling) suit it: diagrams and comparable pictures have hard ones.
     writes_color : bool
+    two_sided : bool
+        Whether back faces are drawn whatever the material says.
     text, folder
         A caller's own fragment shader, and where its includes lie.
     """
@@ -44,6 +46,7 @@ class View:
     blends: bool = False
     is_lit: bool = False
     writes_color: bool = True
+    two_sided: bool = False
     text: str | None = None
     folder: Path | None = None
 
@@ -102,6 +105,7 @@ VIEWS: dict[str, View] = {
     "wireframe": View("clay.frag", uniforms={"flat_color": PAPER}, lines="wireframe", is_lit=True),
     "seams": View("clay.frag", uniforms={"flat_color": PAPER}, lines="seams", is_lit=True),
     "mask": View("flat.frag", uniforms={"flat_color": (1.0, 1.0, 1.0)}),
+    "facing": View("facing.frag", two_sided=True),
     "depth": View("depth.frag", writes_color=False),
 }
 LINES = View("flat.frag")
