@@ -120,7 +120,7 @@ def straighten(
     Parameters
     ----------
     surface : TexturedSurface
-        Edge-manifold. Folded uvs are unfolded as far as possible.
+        Edge-manifold. Faces that are folded or have no area in uv stay so.
     tolerance_rel : float
         Farthest that a silhouette vertex may move in the joint uv space of its copies, as a fraction of the diagonal
         of its chain's bounding box there. 0 leaves the uvs alone.
@@ -183,7 +183,8 @@ def straighten(
             must_keep |= spoiled if round_number < MOST_ROUNDS - 2 else ~kept
         todo = np.zeros(chains.num_chains, bool)
         todo[chains.point_chains[spoiled]] = True
-    return _describe(surface, chains, kept, fractions, result, uv_charts[chains.uv_ids[reduced, 0]])
+    reduced_ids = chains.uv_ids[reduced]
+    return _describe(surface, chains, kept, fractions, result, uv_charts[reduced_ids[reduced_ids >= 0]])
 
 
 def _remap(surface: TexturedSurface, chains: Chains, moved: Floats, kept: Bools, most_distortion: float) -> _Remapped:

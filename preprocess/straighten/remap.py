@@ -9,8 +9,8 @@
 The orientation test at the end is exact: a triangle counts as sound only where its signed area, relative to its rest
 shape, clears rounding by many orders of magnitude.
 
-Rest shape of a triangle: its own uvs before, so that nothing moves that does not have to. Where those are folded or
-without area, the triangle's shape in space, at its chart's scale.
+Rest shape of a triangle: its own uvs before, so that nothing moves that does not have to. Triangles that are folded or
+without area in them have none to keep: they follow their neighbours.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class RestShapes:
     charts : (F,) int64
         Chart of every face.
     was_folded : (F,) bool
-        The input's uvs were folded against their chart, or had no area.
+        The uvs are folded against their chart, or have no area: of the rest shape only the orientation counts.
     """
 
     inverse: Floats
@@ -99,32 +99,13 @@ def find_rest_shapes(surface: TexturedSurface) -> RestShapes:
     size = np.abs(edges).sum(axis=(1, 2))
     was_folded = sign[charts] * area <= 1e-9 * size**2
     if was_folded.any():
-        edges = edges.copy()
-        edges[was_folded] = _flat_shapes(surface, charts, sign, area)[was_folded]
+        stand_in = np.zeros((int(was_folded.sum()), 2, 2))  # only its orientation counts
+        stand_in[:, 0, 0], stand_in[:, 1, 1] = 1.0, sign[charts[was_folded]]
+        edges[was_folded] = stand_in
         area = _det(edges)
     a, b, c, d = edges[:, 0, 0], edges[:, 0, 1], edges[:, 1, 0], edges[:, 1, 1]
     inverse = np.stack([np.stack([d, -b], axis=1), np.stack([-c, a], axis=1)], axis=1) / area[:, None, None]
     return RestShapes(inverse, np.abs(area), charts, was_folded)
-
-
-def _flat_shapes(surface: TexturedSurface, charts: NDArray[np.int64], sign: Floats, area: Floats) -> Floats:
-    """Triangles laid flat from space at their chart's scale and orientation, (F, 2, 2); never without area."""
-    corner = surface.positions[surface.faces]
-    p, q = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    length = np.linalg.norm(p, axis=1)
-    floor = max(1e-9 * surface.diagonal_m, 1e-30)
-    length = np.maximum(length, floor)
-    along = (p * q).sum(axis=1) / length
-    height = np.maximum(np.linalg.norm(np.cross(p, q), axis=1) / length, 1e-2 * length)
-    twice = length * height
-    num_charts = len(sign)
-    scale = np.sqrt(
-        np.maximum(np.bincount(charts, np.abs(area), num_charts), 1e-16)
-        / np.maximum(np.bincount(charts, twice, num_charts), 1e-30)
-    )[charts]
-    zero = np.zeros_like(length)
-    flat = np.stack([np.stack([length, along], axis=1), np.stack([zero, height * sign[charts]], axis=1)], axis=1)
-    return flat * scale[:, None, None]
 
 
 def relative_areas(surface: TexturedSurface, uvs: Floats, rest: RestShapes) -> Floats:
@@ -135,7 +116,8 @@ def relative_areas(surface: TexturedSurface, uvs: Floats, rest: RestShapes) -> F
 def shape_distortions(surface: TexturedSurface, uvs: Floats, rest: RestShapes) -> Floats:
     """|J|² / (2 |det J|) of every face against its rest shape, (F,) float64; 1 where angles are kept."""
     jacobian = _edge_matrices(uvs, surface.face_uvs) @ rest.inverse
-    return (jacobian**2).sum(axis=(1, 2)) / np.maximum(2.0 * np.abs(_det(jacobian)), 1e-300)
+    square = (jacobian**2).sum(axis=(1, 2))
+    return square / np.maximum(2.0 * np.abs(_det(jacobian)), 1e-100 * np.maximum(square, 1e-100))
 
 
 @numba.njit(cache=True)
@@ -337,7 +319,7 @@ def remap_interior(surface: TexturedSurface, boundary_uvs: Floats, fixed: Bools,
     for _ in range(2):  # a second time with what the first one squeezed outside its patch
         area = relative_areas(surface, uvs, rest)
         squeezed = (area < SQUEEZED_AREA) | (shape_distortions(surface, uvs, rest) > SQUEEZED_SHAPE)
-        squeezed = squeezed & ~fixed[surface.face_uvs].all(axis=1)
+        squeezed = squeezed & ~fixed[surface.face_uvs].all(axis=1) & ~rest.was_folded
         if not squeezed.any():
             break
         patch: Bools = squeezed.copy()
@@ -346,5 +328,5 @@ def remap_interior(surface: TexturedSurface, boundary_uvs: Floats, fixed: Bools,
             used[surface.face_uvs[patch].ravel()] = True
             patch = np.asarray(used[surface.face_uvs].any(axis=1))
         free = used & ~fixed
-        uvs = _relax(surface, uvs, np.flatnonzero(patch), free, rest)
+        uvs = _relax(surface, uvs, np.flatnonzero(patch & ~rest.was_folded), free, rest)
     return uvs
