@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from runtime.actor import Actor
     from runtime.asset import Asset, load
     from runtime.camera import Camera, MatrixCamera, framing
+    from runtime.clip import Clip
     from runtime.crowd import Crowd
     from runtime.environment import Environment, Lighting
     from runtime.gpu_asset import Model
@@ -27,6 +28,7 @@ __all__ = [
     "Asset",
     "AssetError",
     "Camera",
+    "Clip",
     "Crowd",
     "Environment",
     "Lighting",
@@ -46,6 +48,7 @@ _HOMES = {
     "Camera": "camera",
     "MatrixCamera": "camera",
     "framing": "camera",
+    "Clip": "clip",
     "Crowd": "crowd",
     "Environment": "environment",
     "Lighting": "environment",
