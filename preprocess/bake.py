@@ -8,18 +8,20 @@ are exact, so that the finest level of detail is the source mesh.
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from preprocess.mesh import Floats, Ints, SkinnedMesh
+from preprocess.mesh import Floats, SkinnedMesh
 from preprocess.raster import Coverage, fill_outside, interpolate_corners, rasterise
 from preprocess.texels import bilinear_stencil
 
 log = logging.getLogger(__name__)
 
+PROJECTIONS = 4  # alternations that keep weights non-negative; each halves what clipping costs at the vertices
 FIT_DAMPING = 1e-4  # relative to a stencil's own weight; vertices denser than texels then share the error
 
 
@@ -66,8 +68,12 @@ def bake_weights(mesh: SkinnedMesh, num_joints: int, size: tuple[int, int]) -> F
     corners = surface.faces[coverage.faces[near]]
     texels[near] = sum(barycentrics[:, k, None] * dense[corners[:, k]] for k in range(3))
     texels = fill_outside(texels, near)
-    texels = np.clip(fit_vertices(texels, surface.uvs, vertex_values(mesh, dense)), 0.0, None)
-    return texels / texels.sum(axis=2, keepdims=True)
+    values = vertex_values(mesh, dense)
+    fit = plan_fit(surface.uvs, width, height)
+    for _ in range(PROJECTIONS):  # onto the vertices' values, then onto partitions of unity
+        texels = np.clip(fit(texels, values), 0.0, None)
+        texels /= texels.sum(axis=2, keepdims=True)
+    return texels
 
 
 def vertex_values(mesh: SkinnedMesh, values: NDArray[np.floating]) -> Floats:
@@ -81,9 +87,6 @@ def vertex_values(mesh: SkinnedMesh, values: NDArray[np.floating]) -> Floats:
 def fit_vertices(texels: Floats, uvs: Floats, values: Floats) -> Floats:
     """Change the texels as little as possible so that bilinear samples at given points take given values.
 
-    Minimises |δ|² + |W (p + δ) - v|² / damping, where W holds the bilinear stencils; solved in the space of the
-    points, (W Wᵀ + damping) λ = v - W p, δ = Wᵀ λ, with one factorisation for all channels.
-
     Parameters
     ----------
     texels : (H, W, C) float64
@@ -94,13 +97,26 @@ def fit_vertices(texels: Floats, uvs: Floats, values: Floats) -> Floats:
     -------
     (H, W, C) float64
     """
-    height, width, channels = texels.shape
+    height, width = texels.shape[:2]
+    return plan_fit(uvs, width, height)(texels, values)
+
+
+def plan_fit(uvs: Floats, width: int, height: int) -> Callable[[Floats, Floats], Floats]:
+    """`fit_vertices` for any number of textures of one size, factored once.
+
+    Minimises |δ|² + |W (p + δ) - v|² / damping, where W holds the bilinear stencils; solved in the space of the
+    points, (W Wᵀ + damping) λ = v - W p, δ = Wᵀ λ.
+    """
     stencil = stencil_matrix(uvs, width, height)
-    flat = texels.reshape(-1, channels)
     gram = (stencil @ stencil.T + FIT_DAMPING * sp.identity(len(uvs))).tocsc()
     factor = splu(gram, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-    multipliers = factor.solve(np.asarray(values - stencil @ flat))
-    return (flat + stencil.T @ multipliers).reshape(texels.shape)
+
+    def fit(texels: Floats, values: Floats) -> Floats:
+        flat = texels.reshape(-1, texels.shape[2])
+        multipliers = factor.solve(np.asarray(values - stencil @ flat))
+        return (flat + stencil.T @ multipliers).reshape(texels.shape)
+
+    return fit
 
 
 def stencil_matrix(uvs: Floats, width: int, height: int) -> sp.csr_matrix:
@@ -108,10 +124,3 @@ def stencil_matrix(uvs: Floats, width: int, height: int) -> sp.csr_matrix:
     texels, weights = bilinear_stencil(uvs, width, height)
     rows = np.repeat(np.arange(len(uvs)), 4)
     return sp.csr_matrix((weights.ravel(), (rows, texels.ravel())), shape=(len(uvs), width * height))
-
-
-def used_vertices(face_uvs: Ints, num_uvs: int) -> NDArray[np.bool_]:
-    """Which texture vertices any face uses, (T,) bool."""
-    used = np.zeros(num_uvs, bool)
-    used[face_uvs] = True
-    return used

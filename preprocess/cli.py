@@ -55,6 +55,13 @@ def tolerance(text: str) -> float | None:
     return _fraction(text, "a tolerance is off or a fraction between 0 and 0.5")
 
 
+def border(text: str) -> float | None:
+    """A painted border's threshold, or None for "off"."""
+    if text == "off":
+        return None
+    return _fraction(text, "a threshold is off or a fraction between 0 and 1")
+
+
 def ratios(text: str) -> tuple[float, ...] | None:
     """Ratios of the levels of detail, or None for "auto"."""
     if text == "auto":
@@ -112,10 +119,10 @@ def add_build_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--keep-borders",
-        type=fraction,
-        default=None,
-        metavar="T",
-        help="leave colour seams whose sides differ by more than T of the range",
+        type=border,
+        default=default.keep_borders,
+        metavar="T|off",
+        help="leave colour seams whose sides differ by more than T of the range: painted borders (default 0.15)",
     )
     parser.add_argument("--report", action="store_true", help="write report.html")
     parser.add_argument("-v", "--verbose", action="store_true", help="log what each stage does")

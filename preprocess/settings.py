@@ -35,8 +35,8 @@ class Settings:
     influences : int
         Joint influences a vertex in model.glb: 4 or 8.
     keep_borders : float or None
-        Colours whose two sides differ by more than this (0 to 1) along a seam of the artist's own are taken for a
-        painted border and left. None: all seams are joined.
+        Colours whose two sides differ by more than this (rms, 0 to 1) along a seam of the artist's own are taken for
+        a painted border and left: what is meant to agree seldom differs by a sixth of the range. None: all are joined.
     report : bool
         Write report.html.
     """
@@ -51,7 +51,7 @@ class Settings:
     floor_rel: float = 0.03
     exact: bool = False
     influences: int = 4
-    keep_borders: float | None = None
+    keep_borders: float | None = 0.15
     report: bool = False
 
 

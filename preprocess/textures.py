@@ -6,7 +6,7 @@ One eraser (grid, energies, factorisation) serves all textures of a size; one co
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from preprocess.erase import (
     measure_seams,
     plan_erasure,
 )
+from preprocess.erase.faults import Decision, choose_color_seams, choose_normal_seams
 from preprocess.gltf import Character
 from preprocess.gltf.tangents import corner_tangents
 from preprocess.materials import BakedTexture, bake_materials, bake_normals
@@ -38,7 +39,6 @@ log = logging.getLogger(__name__)
 
 STEPS = {"uint8": 255, "uint16": 65535}
 SEAM_WEIGHT = 1e8  # see EraseOptions.seam_weight: leaves about 0.01 of an 8-bit step on straightened seams
-CREASE_DEG = 5.0  # sides of a seam whose corner normals differ by more are a hard edge of the source, and stay one
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,8 @@ class TextureStage:
         self.poses = poses
         self.settings = settings
         self.seams: Seams = find_seams(self.mesh.surface)
-        self.creases = find_creases(self.mesh, self.seams)
+        self.made_here = self._find_made_seams()
+        self.decisions: dict[str, Decision] = {}
         self._coverage: dict[tuple[int, int], Coverage] = {}
         self._geometry_erasers: dict[tuple[int, int], Eraser] = {}
         self._plans: dict[bytes, dict[tuple[int, int], Eraser]] = {}
@@ -151,7 +152,8 @@ class TextureStage:
         if any(material.normal is not None for material in self.character.materials):
             tangents = corner_tangents(self.mesh, self._normal_texcoord())
         baked = bake_normals(self.character, self.mesh, tangents, self.cover(side, side))
-        return self._store("normal", 0.5 * baked + 0.5, "uint16", 0, ~self.creases)
+        decision = choose_normal_seams(self.mesh.surface, self.seams, self.mesh.corner_normals)
+        return self._store("normal", 0.5 * baked + 0.5, "uint16", 0, decision)
 
     def _normal_size(self) -> int:
         maps = [material.normal for material in self.character.materials]
@@ -167,22 +169,27 @@ class TextureStage:
 
     def _material(self, texture: BakedTexture) -> StoredTexture:
         srgb_channels = 3 if texture.is_color else 0
-        joined = self._joined_colors(texture)
-        stored = self._store(texture.name, texture.texels, texture.format, srgb_channels, joined)
-        # What is copied lacks the material's factors: the model keeps them (model_materials.py).
-        return replace(stored, extra={**stored.extra, "copied": texture.copied})
+        threshold = np.inf if self.settings.keep_borders is None else self.settings.keep_borders
+        decision = choose_color_seams(
+            texture.texels, self.mesh.surface, self.seams, threshold, made_here=self.made_here
+        )
+        return self._store(texture.name, texture.texels, texture.format, srgb_channels, decision)
 
-    def _joined_colors(self, texture: BakedTexture) -> NDArray[np.bool_] | None:
-        """Seams whose colours are joined: all, unless the sides differ by more than a painted border's threshold."""
-        if self.settings.keep_borders is None:
-            return None
-        jump = measure_seams(texture.texels, self.mesh.surface, self.seams).seam_rms.max(axis=1)
-        return jump <= self.settings.keep_borders
+    def _find_made_seams(self) -> NDArray[np.bool_]:
+        """Seams inside one material that the atlas made and the source did not have, (S,) bool."""
+        faces = self.seams.faces[:, 0]
+        corner = (self.mesh.surface.faces[faces] == self.seams.vertices[:, :1]).argmax(axis=1)
+        after = self.mesh.surface.faces[faces, (corner + 1) % 3] == self.seams.vertices[:, 1]
+        half_edge = np.where(after, corner, (corner + 2) % 3)  # of corner c to c + 1
+        materials = self.mesh.face_materials[self.seams.faces]
+        return self.atlas.made_seams[faces, half_edge] & (materials[:, 0] == materials[:, 1])
 
     def _store(
-        self, name: str, baked: Floats, stored_format: str, srgb_channels: int, joined: NDArray[np.bool_] | None
+        self, name: str, baked: Floats, stored_format: str, srgb_channels: int, decision: Decision
     ) -> StoredTexture:
         """Erase a texture and its mip levels, rounded so that what is stored is seamless."""
+        self.decisions[name] = decision
+        joined = decision.joined if decision.num_left else None
         key = b"" if joined is None else joined.tobytes()
         levels = erase_mips(
             baked,
@@ -198,8 +205,8 @@ class TextureStage:
             "after": _jump(levels[0].after),
             "stored": [_jump(level.stored) for level in levels],
         }
-        if joined is not None:
-            seam["left"] = int((~joined).sum())
+        if decision.num_left:
+            seam["left"] = decision.num_left
         texels = tuple(level.texels / float(STEPS[stored_format]) for level in levels)
         height, width = baked.shape[:2]
         return StoredTexture(name, texels, stored_format, (width, height), seam)
@@ -213,16 +220,3 @@ class TextureStage:
 def _jump(measure: SeamMeasure) -> dict[str, float]:
     """Root mean square over the seams' length of the jump's norm, and the largest jump of any channel."""
     return {"rms": float(np.sqrt(measure.total.sum())), "max": float(measure.max.max(initial=0.0))}
-
-
-def find_creases(mesh: SkinnedMesh, seams: Seams) -> NDArray[np.bool_]:
-    """Seams along a hard edge of the source: the two sides' corner normals differ there on purpose, (S,) bool."""
-    worst = np.ones(len(seams.vertices))
-    for end in range(2):
-        sides = []
-        for side in range(2):
-            faces = seams.faces[:, side]
-            corner = (mesh.surface.faces[faces] == seams.vertices[:, end, None]).argmax(axis=1)
-            sides.append(mesh.corner_normals[faces, corner])
-        worst = np.minimum(worst, np.einsum("sc,sc->s", *sides))
-    return worst < np.cos(np.radians(CREASE_DEG))
