@@ -5,6 +5,7 @@ One eraser (grid, energies, factorisation) serves all textures of a size; one co
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from dataclasses import dataclass, field
 from typing import Any
@@ -173,7 +174,9 @@ class TextureStage:
         decision = choose_color_seams(
             texture.texels, self.mesh.surface, self.seams, threshold, made_here=self.made_here
         )
-        return self._store(texture.name, texture.texels, texture.format, srgb_channels, decision)
+        stored = self._store(texture.name, texture.texels, texture.format, srgb_channels, decision)
+        # What is copied lacks the material's factors: the model keeps them (model_materials.py).
+        return dataclasses.replace(stored, extra={**stored.extra, "copied": texture.copied})
 
     def _find_made_seams(self) -> NDArray[np.bool_]:
         """Seams inside one material that the atlas made and the source did not have, (S,) bool."""
