@@ -299,3 +299,15 @@ def test_a_hundred_thousand_still_run(ctx: Any, model: Any, picture: Any) -> Non
     crowd.show(np.arange(100_000) % 40 == 0)
     assert (picture([crowd]) != picture([])).any()
     crowd.release()
+
+
+def test_the_demo_draws_a_picture_and_refuses_nonsense(ball: Path, tmp_path: Path, capsys: Any) -> None:
+    from demos.crowd import main
+
+    out = tmp_path / "crowd.png"
+    assert main([str(ball), "--count", "30", "--headless", "--out", str(out), "--size", "160x90"]) == 0
+    assert out.stat().st_size > 1000
+    assert main([str(ball), "--count", "-3", "--headless", "--out", str(out)]) == 2
+    assert main([str(ball), "--clip", "fly", "--headless", "--out", str(out), "--size", "16x16"]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 2 and "--count -3" in lines[0] and "no clip 'fly'" in lines[1]
