@@ -154,8 +154,10 @@ def find_swept_runs(joint, first, last, sides, run_charts, points, point_charts)
         i, j, column = first[r], last[r], 2 * sides[r]
         if j == i + 1:
             continue
-        x0, x1 = joint[i : j + 1, column].min(), joint[i : j + 1, column].max()
-        y0, y1 = joint[i : j + 1, column + 1].min(), joint[i : j + 1, column + 1].max()
+        x0, x1, y0, y1 = np.inf, -np.inf, np.inf, -np.inf
+        for k in range(i, j + 1):
+            x0, x1 = min(x0, joint[k, column]), max(x1, joint[k, column])
+            y0, y1 = min(y0, joint[k, column + 1]), max(y1, joint[k, column + 1])
         for n in range(len(points)):
             x, y = points[n, 0], points[n, 1]
             if x < x0 or x > x1 or y < y0 or y > y1 or point_charts[n] == run_charts[r]:

@@ -94,7 +94,8 @@ def _simplify(joint, length, sides, must_keep, limits_sq):  # type: ignore[no-un
     Breadth-first search: layer r holds the points that r runs reach. No run crosses a point that must stay.
     """
     n = len(joint)
-    layer = np.full(n, -1, np.int64)
+    layer = np.empty(n, np.int64)
+    layer[:] = -1
     cost = np.zeros(n)
     previous = np.zeros(n, np.int64)
     fractions = np.zeros(n)
@@ -104,12 +105,12 @@ def _simplify(joint, length, sides, must_keep, limits_sq):  # type: ignore[no-un
         for i in range(n):
             if layer[i] != current:
                 continue
-            suspect = -1
+            suspect = np.int64(-1)
             for j in range(i + 1, n):
                 if layer[j] < 0 or layer[j] == current + 1:
                     moved = _run_cost(joint, length, sides, i, j, limits_sq, fractions, suspect)
                     if moved < 0.0:
-                        suspect = int(-moved - 1.0)
+                        suspect = np.int64(-moved - 1.0)
                     elif layer[j] < 0 or cost[i] + moved < cost[j]:
                         layer[j] = current + 1
                         cost[j] = cost[i] + moved
@@ -137,20 +138,26 @@ def _simplify_all(offsets, joint, is_seam, must_keep, limits_sq, kept, fractions
     for c in range(len(offsets) - 1):
         if not todo[c]:
             continue
-        low, high = offsets[c], offsets[c + 1]
-        n = high - low
+        low, n = offsets[c], offsets[c + 1] - offsets[c]
         dims = 4 if is_seam[c] else 2
-        chain = joint[low:high, :dims].copy()
-        keep = must_keep[low:high].copy()
-        length = np.zeros(n)
-        sides = np.zeros((n, 2))
-        for k in range(1, n):
-            for side in range(dims // 2):
-                x = chain[k, 2 * side] - chain[k - 1, 2 * side]
-                y = chain[k, 2 * side + 1] - chain[k - 1, 2 * side + 1]
-                sides[k, side] = sides[k - 1, side] + np.sqrt(x * x + y * y)
-            length[k] = length[k - 1] + np.sqrt(((chain[k] - chain[k - 1]) ** 2).sum())
-        kept[low:high], fractions[low:high] = _simplify(chain, length, sides, keep, limits_sq[low:high])
+        chain, limits = np.empty((n, dims)), np.empty(n)
+        keep, length, sides = np.zeros(n, np.bool_), np.zeros(n), np.zeros((n, 2))
+        for k in range(n):
+            keep[k], limits[k] = must_keep[low + k], limits_sq[low + k]
+            square = 0.0
+            for d in range(dims):
+                chain[k, d] = joint[low + k, d]
+                if k > 0:
+                    step = chain[k, d] - chain[k - 1, d]
+                    square += step * step
+                    sides[k, d // 2] += step * step
+            if k > 0:
+                length[k] = length[k - 1] + np.sqrt(square)
+                for side in range(2):
+                    sides[k, side] = sides[k - 1, side] + np.sqrt(sides[k, side])
+        chain_kept, chain_fractions = _simplify(chain, length, sides, keep, limits)
+        for k in range(n):
+            kept[low + k], fractions[low + k] = chain_kept[k], chain_fractions[k]
 
 
 def joint_points(chains: Chains, uvs: Floats) -> Floats:
