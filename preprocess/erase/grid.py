@@ -24,9 +24,6 @@ from scipy import sparse
 from preprocess.erase.region import Region
 from preprocess.mesh import Floats
 
-# Rows of cell keys are this far apart.
-STRIDE = 1 << 32
-
 # Texels that a change is spread to at a time.
 BATCH = 1 << 20
 
@@ -74,54 +71,56 @@ class Grid:
         return found
 
 
-def _keys(x: NDArray[np.int64], y: NDArray[np.int64]) -> NDArray[np.int64]:
-    """One number a cell."""
-    return y * STRIDE + x
-
-
-def _spread(keys: NDArray[np.int64], reach: int, columns: int, rows: int, repeat: bool) -> NDArray[np.int64]:
-    """Cells within `reach` of the given ones (chessboard distance) on a grid of columns x rows, sorted."""
-    offsets = np.arange(-reach, reach + 1)
-    y, x = np.divmod(keys, STRIDE)
-    x = (x + offsets[:, None]).ravel()
-    y = np.tile(y, len(offsets))
-    kept = slice(None) if repeat else (x >= 0) & (x < columns)
-    y, x = np.divmod(np.unique(_keys(x[kept] % columns, y[kept])), STRIDE)
-    y = (y + offsets[:, None]).ravel()
-    x = np.tile(x, len(offsets))
-    kept = slice(None) if repeat else (y >= 0) & (y < rows)
-    return np.unique(_keys(x[kept], y[kept] % rows))
+@njit(cache=True)
+def _mark_near(x, y, reach, shift, repeat, mask):
+    """Mark the squares within reach of the given ones, or with shift 1 those of twice the side that hold them."""
+    rows, columns = mask.shape
+    for n in range(x.shape[0]):
+        for dy in range(-reach, reach + 1):
+            row = (y[n] + dy) >> shift
+            if repeat:
+                row %= rows
+            elif row < 0 or row >= rows:
+                continue
+            for dx in range(-reach, reach + 1):
+                column = (x[n] + dx) >> shift
+                if repeat:
+                    mask[row, column % columns] = True
+                elif 0 <= column < columns:
+                    mask[row, column] = True
 
 
 def _split_squares(
     region: Region, fine_reach: int, reach: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Keys of the finest cells; top left texels, as keys, of the other squares; and the sides of those."""
+    """Finest cells and the other squares, as top left texels; and the sides of the other squares."""
     width, height = region.width, region.height
     columns, rows = (width, height) if region.repeat else (max(width - 1, 1), max(height - 1, 1))
     seed_y, seed_x = np.divmod(region.cells, width)
-    seeds = _keys(seed_x, seed_y)
-    finest = inner = _spread(seeds, 1, columns, rows, region.repeat)
+    inner = np.zeros((rows, columns), np.bool_)
+    _mark_near(seed_x, seed_y, 1, 0, region.repeat, inner)
+    y, x = np.nonzero(inner)
+    finest = y * width + x
     corners, sides = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
-    level = 0
-    while len(inner) and (1 << level) < max(width, height):
+    side = 1
+    while len(finest) and side < max(width, height):
         # Squares of twice the side that must be split; those of their quarters that need not be are leaves.
-        side = 1 << level
-        grown = _spread(seeds, fine_reach if level == 0 else reach, -(-columns >> level), -(-rows >> level), False)
-        y, x = np.divmod(grown, STRIDE)
-        split = np.unique(_keys(x >> 1, y >> 1))
-        seeds = np.unique(_keys(seed_x >> (level + 1), seed_y >> (level + 1)))
-        level += 1
-        y, x = np.divmod(split, STRIDE)
-        quarters = np.concatenate([_keys(2 * x + dx, 2 * y + dy) for dy in (0, 1) for dx in (0, 1)])
-        y, x = np.divmod(np.setdiff1d(quarters, inner, assume_unique=True), STRIDE)
-        x, y = x * side, y * side
-        fits = (x + side < width) & (y + side < height)
-        x, y = x[fits], y[fits]
+        split = np.zeros((-(-inner.shape[0] // 2), -(-inner.shape[1] // 2)), np.bool_)
+        _mark_near(seed_x, seed_y, fine_reach if side == 1 else reach, 1, False, split)
+        seeds = np.zeros_like(split)
+        _mark_near(seed_x, seed_y, 0, 1, False, seeds)
+        seed_y, seed_x = np.nonzero(seeds)
+        y, x = np.nonzero(split)
+        y, x = (2 * y[:, None] + np.array([0, 0, 1, 1])).ravel(), (2 * x[:, None] + np.array([0, 1, 0, 1])).ravel()
+        fits = ((x + 1) * side < width) & ((y + 1) * side < height)
+        y, x = y[fits], x[fits]
+        leaf = ~inner[y, x]
+        y, x = y[leaf] * side, x[leaf] * side
         used = region.inside[y, x]
-        corners.append(_keys(x[used], y[used]))
+        corners.append(y[used] * width + x[used])
         sides.append(np.full(np.count_nonzero(used), side, np.int64))
         inner = split
+        side *= 2
     return finest, np.concatenate(corners), np.concatenate(sides)
 
 
@@ -134,44 +133,44 @@ def _find_fine_parts(
     -------
     texels : (N,) int64, sorted
     texel_mass : (N,) float64
-    edges : (E, 2) int64, texels
+    edges : (E, 2) int64, numbers of texels in `texels`
     edge_mass : (E,) float64
     """
     width, height = region.width, region.height
-    y, x = np.divmod(finest, STRIDE)
+    y, x = np.divmod(finest, width)
     x1, y1 = (x + 1) % width, (y + 1) % height
-    corner = [y * width + x, y * width + x1, y1 * width + x, y1 * width + x1]
-    texels, which, count = np.unique(np.stack(corner), return_inverse=True, return_counts=True)
-    which = which.reshape(4, -1)
-    silhouette_y, silhouette_x = np.divmod(region.cells, width)
-    read = np.concatenate(
-        [((silhouette_y + b) % height) * width + (silhouette_x + a) % width for a in (0, 1) for b in (0, 1)]
-    )
-    used = region.inside.ravel()[texels]
-    used[np.searchsorted(texels, np.unique(read))] = True
-    # A cell beyond the image's edge does not exist: what is there counts as accounted for.
-    row, column = np.divmod(texels, width)
-    edge_x = 2.0 if not region.repeat else 1.0
-    at_side = np.where((column == 0) | (column == width - 1), edge_x, 1.0)
-    at_end = np.where((row == 0) | (row == height - 1), edge_x, 1.0)
-    if width == 1:
-        at_side = np.full(len(texels), 2.0)
-    if height == 1:
-        at_end = np.full(len(texels), 2.0)
-    texel_mass = np.minimum(count * at_side * at_end / 4.0, 1.0)
-
+    corner = np.stack([y * width + x, y * width + x1, y1 * width + x, y1 * width + x1])
+    covered = np.zeros(width * height, np.bool_)
+    covered[corner] = True
+    texels = np.flatnonzero(covered)
+    which = np.searchsorted(texels, corner)
     num = len(texels)
-    pairs = np.concatenate(
-        [which[0] * num + which[1], which[2] * num + which[3], which[0] * num + which[2], which[1] * num + which[3]]
-    )
-    pairs, count = np.unique(pairs, return_counts=True)
-    first, second = np.divmod(pairs, num)
-    horizontal = row[first] == row[second]
-    edge_mass = np.minimum(count * np.where(horizontal, at_end[first], at_side[first]) / 2.0, 1.0)
-    kept = used[first] & used[second] & (first != second)
+    row, column = np.divmod(texels, width)
+    used = region.used[row, column]
+    # A cell beyond the image's edge does not exist: what is there counts as accounted for.
+    at_side = np.where((column == 0) | (column == width - 1), 1.0 if region.repeat else 2.0, 1.0)
+    at_end = np.where((row == 0) | (row == height - 1), 1.0 if region.repeat else 2.0, 1.0)
+    if width == 1:
+        at_side[:] = 2.0
+    if height == 1:
+        at_end[:] = 2.0
+    texel_mass = np.minimum(np.bincount(which.ravel(), minlength=num) * at_side * at_end / 4.0, 1.0)
+
+    # Every cell has two grid edges along x, from its left texels, and two along y, from its upper ones.
+    edges, masses = [], []
+    for starts, ends, beyond in (((0, 2), (1, 3), at_end), ((0, 1), (2, 3), at_side)):
+        second = np.full(num, -1)
+        for start, end in zip(starts, ends, strict=True):
+            second[which[start]] = which[end]
+        count = np.bincount(which[list(starts)].ravel(), minlength=num)
+        first = np.flatnonzero(second >= 0)
+        second = second[first]
+        kept = used[first] & used[second] & (first != second)
+        first, second = first[kept], second[kept]
+        edges.append(np.stack([first, second], axis=1))
+        masses.append(np.minimum(count[first] * beyond[first] / 2.0, 1.0))
     renumber = np.cumsum(used) - 1
-    edges = np.stack([renumber[first[kept]], renumber[second[kept]]], axis=1)
-    return texels[used], texel_mass[used], edges, edge_mass[kept]
+    return texels[used], texel_mass[used], renumber[np.concatenate(edges)], np.concatenate(masses)
 
 
 def _find_hanging(nodes: NDArray[np.int64], squares: NDArray[np.int64], sides: NDArray[np.int64], width: int):
@@ -224,9 +223,12 @@ def build_grid(region: Region, *, fine_reach: int = 4, reach: int = 3) -> Grid:
     width, height = region.width, region.height
     finest, corners, sides = _split_squares(region, fine_reach, reach)
     texels, texel_mass, edges, edge_mass = _find_fine_parts(region, finest)
-    y, x = np.divmod(corners, STRIDE)
+    y, x = np.divmod(corners, width)
     square_texels = np.stack([(y + b * sides) * width + x + a * sides for b in (0, 1) for a in (0, 1)], axis=1)
-    nodes = np.union1d(texels, square_texels)
+    covered = np.zeros(width * height, np.bool_)
+    covered[texels] = True
+    covered[square_texels] = True
+    nodes = np.flatnonzero(covered)
     renumber = np.searchsorted(nodes, texels)
     mass = np.zeros(len(nodes))
     mass[renumber] = texel_mass

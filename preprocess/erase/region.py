@@ -8,6 +8,7 @@ texture's author may never have painted them. All other texels are never read an
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -42,7 +43,7 @@ class Region:
     cells: NDArray[np.int64]
     repeat: bool
 
-    @property
+    @cached_property
     def used(self) -> NDArray[np.bool_]:
         """Inside texels and those of silhouette cells, (H, W) bool."""
         used = self.inside.copy()
