@@ -23,6 +23,7 @@ from preprocess.atlas.measure import measure_coverage, measure_stretch, straight
 from preprocess.atlas.overlap import find_overlap
 from preprocess.atlas.topology import cut_edges, find_edges, label_faces
 from preprocess.atlas.unwrap import unwrap
+from preprocess.decimate import decimate_to
 from preprocess.errors import InputError
 from preprocess.mesh import SkinnedMesh
 from preprocess.repack import repack_charts
@@ -37,8 +38,11 @@ MODES = ("auto", "keep", "repack", "unwrap")
 TOLERANCES_REL = (0.01, 0.02, 0.03, 0.05)
 """Straightening tolerances that `auto` tries, of the diagonal of a seam's bounding box; the first is the paper's."""
 
-FLOOR_MARGIN = 0.97
-"""Decimation gets to within about 3 % of the faces that the chart outlines leave."""
+SURE_SHARE = 0.8
+"""Decimation gets to within about 10 % of the faces that the chart outlines leave; nearer than this it is tried."""
+
+ATTEMPTS = 4
+"""Unwraps, each for a lower floor, until decimation reaches the one asked for."""
 
 MAX_CROWDED = 0.002
 """Share of the used texels that two charts may claim before `auto` packs them anew."""
@@ -150,7 +154,7 @@ def build_atlas(
     tolerances: tuple[float | None, ...] = (None,)
     if straighten_rel is not None:
         tolerances = (straighten_rel, *(t for t in TOLERANCES_REL if t > straighten_rel))
-    reasons = []
+    reasons: list[str] = []
     for name, attempt, why_not in (
         ("keep", lambda t: _keep(mesh, t), _why_not_keep(mesh, size_px)),
         ("repack", lambda t: _repack(mesh, t, packing), _why_not_repack(mesh)),
@@ -158,7 +162,8 @@ def build_atlas(
         if not why_not:
             for tolerance in tolerances:
                 atlas = attempt(tolerance)
-                if atlas.overlap == 0 and atlas.floor_faces <= FLOOR_MARGIN * floor:
+                likely = atlas.overlap == 0 and atlas.floor_faces <= floor
+                if likely and (atlas.floor_faces <= SURE_SHARE * floor or _reaches(atlas.mesh, floor)):
                     return _explain(atlas, reasons)
             why_not = f"straight seams would leave {atlas.floor_faces} faces, {floor} are asked for"
             if atlas.overlap:
@@ -230,9 +235,23 @@ def _repack(mesh: SkinnedMesh, tolerance_rel: float | None, packing: _Packing) -
 
 
 def _unwrap(mesh: SkinnedMesh, floor: int, packing: _Packing) -> Atlas:
-    made = unwrap(mesh, floor, packing.size_px, packing.gutter_px, packing.min_chart_px)
-    warnings = (f"{made.num_split} edges split so that seams are straight",) if made.num_split else ()
+    share = 1.0
+    for _ in range(ATTEMPTS):
+        made = unwrap(mesh, int(share * floor), packing.size_px, packing.gutter_px, packing.min_chart_px)
+        if made.layout.floor_faces > floor or _reaches(made.mesh, floor):
+            break
+        share *= 0.85
+    warnings: tuple[str, ...] = (f"{made.num_split} edges split so that seams are straight",) if made.num_split else ()
+    if made.layout.floor_faces > floor:
+        warnings += (f"the parts of the mesh need {made.layout.floor_faces} faces at least, {floor} were asked for",)
     return _finish(made.mesh, "unwrap", True, made.layout.floor_faces, warnings)
+
+
+def _reaches(mesh: SkinnedMesh, floor: int) -> bool:
+    """Whether decimation gets down to a number of faces with all seams intact."""
+    if mesh.num_faces <= floor:
+        return True
+    return len(decimate_to(mesh.surface, floor).lods[0].faces) <= floor
 
 
 def _straighten(mesh: SkinnedMesh, tolerance_rel: float | None, *, keep_packing: bool) -> tuple[SkinnedMesh, int]:

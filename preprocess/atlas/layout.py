@@ -109,7 +109,15 @@ def chart_characteristics(faces: Ints, edges: MeshEdges, cut: Bools) -> tuple[In
     return face_charts, num_vertices - num_edges + num_faces
 
 
-def build_layout(positions: Floats, faces: Ints, edges: MeshEdges, cut: Bools, extra: Bools | None = None) -> Layout:
+def build_layout(
+    positions: Floats,
+    faces: Ints,
+    edges: MeshEdges,
+    cut: Bools,
+    *,
+    extra: Bools | None = None,
+    triangular: Bools | None = None,
+) -> Layout:
     """Corners, paths and polygons of charts that are all disks.
 
     Parameters
@@ -121,6 +129,8 @@ def build_layout(positions: Floats, faces: Ints, edges: MeshEdges, cut: Bools, e
         Every edge that is not glued is cut.
     extra : (V,) bool, optional
         Vertices to make corners besides those that must be.
+    triangular : (V,) bool, optional
+        Boundary loops through these vertices get three corners where others get four: a face less at the floor.
 
     Returns
     -------
@@ -134,9 +144,14 @@ def build_layout(positions: Floats, faces: Ints, edges: MeshEdges, cut: Bools, e
     corner = (degree > 0) & (degree != 2)
     if extra is not None:
         corner |= extra & (degree > 0)
+    ring_corners = np.full(len(positions), 4)
+    if triangular is not None:
+        border = np.zeros(len(positions), bool)
+        border[edges.vertices[~edges.glued]] = True
+        ring_corners[triangular & border] = 3
     while True:
         path_first, path_vertices, path_edges = _trace_paths(cut_vertices, corner)
-        added = _missing_corners(positions, path_first, path_vertices, corner)
+        added = _missing_corners(positions, path_first, path_vertices, corner, ring_corners)
         if not len(added):
             break
         corner[added] = True
@@ -208,7 +223,9 @@ def _fractions(positions: Floats, path_first: Ints, path_vertices: Ints) -> Floa
     return fractions
 
 
-def _missing_corners(positions: Floats, path_first: Ints, path_vertices: Ints, corner: Bools) -> Ints:
+def _missing_corners(
+    positions: Floats, path_first: Ints, path_vertices: Ints, corner: Bools, ring_corners: NDArray[np.int64]
+) -> Ints:
     """Vertices that must become corners for the paths to form a valid base mesh."""
     if not len(path_vertices):
         return np.zeros(0, np.int32)
@@ -218,7 +235,7 @@ def _missing_corners(positions: Floats, path_first: Ints, path_vertices: Ints, c
     closed = a == b
     for p in np.flatnonzero(closed):
         ring = path_vertices[path_first[p] : path_first[p + 1] - 1]
-        wanted = 4 if not corner[ring[0]] else 3
+        wanted = int(ring_corners[ring[0]]) if not corner[ring[0]] else 3
         added += [int(ring[i]) for i in _spread_on_ring(positions[ring], min(wanted, len(ring)), corner[ring[0]])]
     low, high = np.minimum(a, b).astype(np.int64), np.maximum(a, b).astype(np.int64)
     order = np.lexsort((inner, high, low))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from preprocess.mesh import Floats, Ints
 
-COMPACTNESS = 0.35
+COMPACTNESS = 0.25
 """Weight of a centroid's distance, in radii of a fair region, beside the distance of unit normals."""
 
 ITERATIONS = 10

@@ -17,7 +17,7 @@ from numba import njit
 from preprocess.atlas.layout import Layout
 from preprocess.mesh import Floats, Ints, TexturedSurface
 
-SWEEPS = 30
+SWEEPS = 40
 MIN_AREA_REL = 1e-5
 """Least area of a uv triangle, relative to the square of its longest edge, that a move may leave."""
 

@@ -34,15 +34,21 @@ FACES_PER_REGION = 4
 """Faces at the floor that one more region costs: two more corners, each in two faces more."""
 
 
-REFINED_SHARE = 0.9
+REFINED_SHARE = 0.95
 """Up to this share of the floor, charts that are stretched too far are split again."""
 
-REFINEMENTS = 2
+REFINEMENTS = 3
 MAX_STRETCH = 1.7
 """L2 stretch beyond which a chart is split: an open tube with a cap, an ear, a fist."""
 
 MAX_GAIN = 1.5
 """A stretched chart is enlarged up to this factor."""
+
+SMALL_PART_FACES = 3.0
+"""An open part that fairly gets fewer faces than this at the floor may end as one triangle."""
+
+BULGE = 3.0
+"""Area over the area of a flat disk with the same boundary, above which a part gets two regions (a hemisphere: 2)."""
 
 Frames = tuple[Floats, Floats, Floats]
 
@@ -93,46 +99,109 @@ def unwrap(mesh: SkinnedMesh, floor_faces: int, size_px: int, gutter_px: float, 
     surface = mesh.surface
     edges = find_edges(surface.faces)
     frames = face_frames(surface.positions, surface.faces)
-    regions = _fit_regions(surface, edges, frames, BUDGET_SHARE * floor_faces)
-    for attempt in range(REFINEMENTS + 1):
-        layout = build_layout(surface.positions, surface.faces, edges, _region_borders(edges, regions))
-        split, split_layout, num_split = _split_chords(mesh, edges, layout)
-        charts = _map_charts(split.surface, split_layout)
-        spare = REFINED_SHARE * floor_faces - layout.floor_faces
-        worst = _most_stretched(charts, int(spare / FACES_PER_REGION))
-        if attempt == REFINEMENTS or not len(worst):
+    triangular = _find_small_parts(surface, edges, frames[0], floor_faces)
+    regions = _fit_regions(surface, edges, frames, triangular, BUDGET_SHARE * floor_faces)
+    made = _lay_out(mesh, edges, regions, triangular)
+    limit = mesh.num_faces
+    for _ in range(REFINEMENTS):
+        spare = int((REFINED_SHARE * floor_faces - made.layout.floor_faces) / FACES_PER_REGION)
+        worst = _most_stretched(made.charts, min(spare, limit))
+        if not len(worst):
             break
-        log.debug("%d of %d charts are stretched too far: split", len(worst), layout.num_charts)
-        regions = _halve_regions(surface, edges, frames, split_layout.face_charts[: mesh.num_faces], worst)
-    uvs = _place_charts(charts, split_layout, size_px, gutter_px, min_chart_px)
-    surface = TexturedSurface(split.surface.positions, split.surface.faces, uvs, split_layout.face_uvs)
-    return Unwrapped(split.with_surface(surface), split_layout, num_split)
+        log.debug("%d of %d charts are stretched too far: split", len(worst), made.layout.num_charts)
+        # A split face's first part has its place, so the charts of the source's faces are these.
+        regions = made.layout.face_charts[: mesh.num_faces]
+        refined = _lay_out(mesh, edges, _halve_regions(surface, edges, frames, triangular, regions, worst), triangular)
+        if refined.layout.floor_faces <= REFINED_SHARE * floor_faces and refined.energy < made.energy:
+            made = refined
+        else:
+            limit = len(worst) // 2
+    uvs = _place_charts(made.charts, made.layout, size_px, gutter_px, min_chart_px)
+    surface = TexturedSurface(made.mesh.surface.positions, made.mesh.surface.faces, uvs, made.layout.face_uvs)
+    return Unwrapped(made.mesh.with_surface(surface), made.layout, made.num_split)
 
 
-def _fit_regions(surface: TexturedSurface, edges: MeshEdges, frames: Frames, budget: float) -> Ints:
+@dataclass(frozen=True)
+class _Charts:
+    """Charts in the plane before they are packed.
+
+    corners (N, 2) are the polygons', uvs (T, 2) all texture vertices at the surface's scale, fractions (N',) where
+    vertices lie on their paths; areas_m2 (C,) on the surface, stretch (C,) the L2 stretch of each chart.
+    """
+
+    corners: Floats
+    uvs: Floats
+    fractions: Floats
+    areas_m2: Floats
+    stretch: Floats
+
+
+@dataclass(frozen=True)
+class _LaidOut:
+    """A segmentation as charts, before they are packed; energy is the sum of area times squared stretch."""
+
+    mesh: SkinnedMesh
+    layout: Layout
+    charts: _Charts
+    num_split: int
+    energy: float
+
+
+def _lay_out(mesh: SkinnedMesh, edges: MeshEdges, regions: Ints, triangular: Bools) -> _LaidOut:
+    borders = _region_borders(edges, regions)
+    layout = build_layout(mesh.surface.positions, mesh.surface.faces, edges, borders, triangular=triangular)
+    mesh, layout, num_split = _split_chords(mesh, edges, layout)
+    charts = _map_charts(mesh.surface, layout)
+    return _LaidOut(mesh, layout, charts, num_split, float((charts.areas_m2 * charts.stretch**2).sum()))
+
+
+def _find_small_parts(surface: TexturedSurface, edges: MeshEdges, areas: Floats, floor_faces: int) -> Bools:
+    """Vertices of connected parts to which an even share of the floor's faces gives fewer than three, (V,)."""
+    num_parts, parts = label_faces(edges, ~edges.glued)
+    part_area = np.bincount(parts, areas, minlength=num_parts)
+    small = part_area * floor_faces < SMALL_PART_FACES * part_area.sum()
+    vertices = np.zeros(len(surface.positions), bool)
+    vertices[surface.faces[small[parts]]] = True
+    return vertices
+
+
+def _fit_regions(surface: TexturedSurface, edges: MeshEdges, frames: Frames, triangular: Bools, budget: float) -> Ints:
     """The segmentation with the most regions whose base mesh is within the budget, (F,)."""
     num_parts, parts = label_faces(edges, ~edges.glued)
     part_area = np.bincount(parts, frames[0], minlength=num_parts)
     share = part_area / max(part_area.sum(), 1e-300)
+    least = _least_regions(surface, edges, parts, part_area)
     wanted = budget
     best: tuple[int, Ints] | None = None
     for _ in range(5):
-        counts = np.maximum(np.rint((wanted * share + 4) / FACES_PER_REGION).astype(np.int32), 1)
+        counts = np.maximum(np.rint((wanted * share + 4) / FACES_PER_REGION).astype(np.int32), least)
         count, regions = grow_regions(edges.neighbors, *frames, parts, counts)
         regions = _make_disks(surface, edges, frames, regions, count)
-        regions, floor = _relax(surface, edges, frames, regions)
+        regions, floor = _relax(surface, edges, frames, triangular, regions)
         log.debug("%d regions wanted: %d grown, floor %d", counts.sum(), regions.max() + 1, floor)
         fits = floor <= budget
         if best is None or (floor > best[0] if fits and best[0] <= budget else floor < best[0]):
             best = floor, regions
-        if counts.max() == 1 or (fits and floor >= 0.93 * budget):
+        if (counts == least).all() or (fits and floor >= 0.93 * budget):
             break
         wanted *= np.clip(0.97 * budget / floor, 0.2, 1.5)
     assert best is not None
     return best[1]
 
 
-def _halve_regions(surface: TexturedSurface, edges: MeshEdges, frames: Frames, regions: Ints, chosen: Ints) -> Ints:
+def _least_regions(surface: TexturedSurface, edges: MeshEdges, parts: Ints, part_area: Floats) -> Ints:
+    """Regions that every part needs: 2 where its area is far more than its boundary can enclose in a plane, (C,)."""
+    border = np.flatnonzero(~edges.glued)
+    ends = surface.positions[edges.vertices[border]]
+    length = np.bincount(
+        parts[edges.halves[border, 0] // 3], np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), len(part_area)
+    )
+    return np.where(4 * np.pi * part_area > BULGE * length**2, 2, 1).astype(np.int32)
+
+
+def _halve_regions(
+    surface: TexturedSurface, edges: MeshEdges, frames: Frames, triangular: Bools, regions: Ints, chosen: Ints
+) -> Ints:
     """Split the chosen regions in two and straighten the borders anew."""
     count = int(regions.max()) + 1
     number = np.full(count, -1, np.int32)
@@ -141,7 +210,7 @@ def _halve_regions(surface: TexturedSurface, edges: MeshEdges, frames: Frames, r
     _, halves = grow_regions(edges.neighbors, *frames, domains, np.full(len(chosen), 2, np.int32))
     regions = np.where(domains >= 0, count + halves, regions).astype(np.int32)
     regions = _make_disks(surface, edges, frames, regions, count + 2 * len(chosen))
-    return _relax(surface, edges, frames, regions)[0]
+    return _relax(surface, edges, frames, triangular, regions)[0]
 
 
 def _make_disks(surface: TexturedSurface, edges: MeshEdges, frames: Frames, regions: Ints, count: int) -> Ints:
@@ -158,9 +227,13 @@ def _make_disks(surface: TexturedSurface, edges: MeshEdges, frames: Frames, regi
         count += added
 
 
-def _relax(surface: TexturedSurface, edges: MeshEdges, frames: Frames, regions: Ints) -> tuple[Ints, int]:
+def _relax(
+    surface: TexturedSurface, edges: MeshEdges, frames: Frames, triangular: Bools, regions: Ints
+) -> tuple[Ints, int]:
     """Straighter borders; also the faces of the base mesh before that (its corners hardly change)."""
-    layout = build_layout(surface.positions, surface.faces, edges, _region_borders(edges, regions))
+    layout = build_layout(
+        surface.positions, surface.faces, edges, _region_borders(edges, regions), triangular=triangular
+    )
     cut = relax_paths(surface, edges, frames[1], layout)
     return label_faces(edges, cut)[1], layout.floor_faces
 
@@ -187,7 +260,7 @@ def _split_chords(mesh: SkinnedMesh, edges: MeshEdges, layout: Layout) -> tuple[
     cut |= ~new_edges.glued
     extra = np.zeros(stride, bool)
     extra[: len(corner)] = corner
-    return split, build_layout(split.surface.positions, split.surface.faces, new_edges, cut, extra), len(chords)
+    return split, build_layout(split.surface.positions, split.surface.faces, new_edges, cut, extra=extra), len(chords)
 
 
 def find_chords(edges: MeshEdges, layout: Layout) -> Ints:
@@ -209,26 +282,11 @@ def find_chords(edges: MeshEdges, layout: Layout) -> Ints:
     return inner[both & shared].astype(np.int32)
 
 
-@dataclass(frozen=True)
-class _Charts:
-    """Charts in the plane before they are packed.
-
-    corners (N, 2) are the polygons', uvs (T, 2) all texture vertices at the surface's scale, fractions (N',) where
-    vertices lie on their paths; areas_m2 (C,) on the surface, stretch (C,) the L2 stretch of each chart.
-    """
-
-    corners: Floats
-    uvs: Floats
-    fractions: Floats
-    areas_m2: Floats
-    stretch: Floats
-
-
 def _map_charts(surface: TexturedSurface, layout: Layout) -> _Charts:
     """Each chart in its convex polygon, of the chart's own area."""
     points = surface.positions[layout.uv_vertices]
     num_charts = layout.num_charts
-    side_charts = np.repeat(np.arange(num_charts), layout.num_sides)
+    side_charts = np.repeat(np.arange(num_charts, dtype=np.int32), layout.num_sides)
     areas_m2 = np.bincount(layout.face_charts, face_frames(surface.positions, surface.faces)[0], num_charts)
     areas_m2 = np.maximum(areas_m2, 1e-12 * max(float(areas_m2.sum()), 1e-300))
     free = flatten_free(points, layout.face_uvs, layout.face_charts, num_charts)
@@ -244,19 +302,19 @@ def _map_charts(surface: TexturedSurface, layout: Layout) -> _Charts:
     if folds.any():
         log.warning("%d of %d charts have folded faces", int((folds > 0).sum()), num_charts)
     uvs, fractions = smooth_charts(surface.positions, surface.faces, layout, corners, uvs, layout.path_fractions, folds)
-    energy = np.bincount(layout.face_charts, face_energies(surface, uvs, layout.face_uvs), num_charts)
+    energy: Floats = np.bincount(layout.face_charts, face_energies(surface, uvs, layout.face_uvs), num_charts)
     return _Charts(corners, uvs, fractions, areas_m2, np.sqrt(energy / areas_m2))
 
 
 def _most_stretched(charts: _Charts, limit: int) -> Ints:
-    """The charts that are stretched too far, worst first, at most `limit` of them."""
-    order = np.argsort(-charts.stretch, kind="stable")
+    """The charts that are stretched too far, those that cost most first, at most `limit` of them."""
+    order = np.argsort(-charts.areas_m2 * charts.stretch**2, kind="stable")
     return order[charts.stretch[order] > MAX_STRETCH][: max(limit, 0)].astype(np.int32)
 
 
 def _place_charts(charts: _Charts, layout: Layout, size_px: int, gutter_px: float, min_chart_px: float) -> Floats:
     """uvs of all texture vertices in the packed atlas, (T, 2)."""
-    side_charts = np.repeat(np.arange(layout.num_charts), layout.num_sides)
+    side_charts = np.repeat(np.arange(layout.num_charts, dtype=np.int32), layout.num_sides)
     # Of all ways to share out the square, this one has the least L2 stretch overall.
     gain = np.clip(np.sqrt(charts.stretch), 1.0, MAX_GAIN)
     corners = charts.corners * gain[side_charts][:, None]
