@@ -50,6 +50,8 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "glBindBufferBase": (None, _U, _U, _U), "glBindBufferRange": (None, _U, _U, _U, ctypes.c_ssize_t, ctypes.c_ssize_t),
     "glActiveTexture": (None, _U), "glBindTexture": (None, _U, _U), "glBindSampler": (None, _U, _U),
     "glPixelStorei": (None, _U, _I), "glPatchParameteri": (None, _U, _I),
+    "glCreateShader": (_U, _U), "glShaderSource": (None, _U, _I, _P, _P), "glCompileShader": (None, _U),
+    "glGetShaderiv": (None, _U, _U, _P), "glGetShaderInfoLog": (None, _U, _I, _P, _P), "glDeleteShader": (None, _U),
     "glBindFramebuffer": (None, _U, _U), "glVertexAttribPointer": (None, _U, _I, _U, _B, _I, _P),
 }  # fmt: skip
 
@@ -125,6 +127,26 @@ def _loader() -> Any:
 def functions() -> Functions:
     """GL's functions, looked up once."""
     return Functions()
+
+
+SHADER_STAGES = {"vert": 0x8B31, "frag": 0x8B30, "geom": 0x8DD9, "tesc": 0x8E88, "tese": 0x8E87}
+COMPILE_STATUS, INFO_LOG_LENGTH = 0x8B81, 0x8B84
+
+
+def compile_shader(text: str, stage: str) -> tuple[bool, str]:
+    """Compile one stage ("vert", "frag" ...) to see whether it can be: success, and all that the driver says."""
+    gl = functions()
+    shader = gl.glCreateShader(SHADER_STAGES[stage])
+    source = ctypes.c_char_p(text.encode())
+    gl.glShaderSource(shader, 1, ctypes.byref(source), None)
+    gl.glCompileShader(shader)
+    status, length = ctypes.c_int(), ctypes.c_int()
+    gl.glGetShaderiv(shader, COMPILE_STATUS, ctypes.byref(status))
+    gl.glGetShaderiv(shader, INFO_LOG_LENGTH, ctypes.byref(length))
+    log = ctypes.create_string_buffer(max(length.value, 1))
+    gl.glGetShaderInfoLog(shader, len(log), None, log)
+    gl.glDeleteShader(shader)
+    return bool(status.value), log.value.decode(errors="replace").strip()
 
 
 @contextmanager

@@ -1,7 +1,8 @@
 """GLSL programs from the files in shaders/: includes, defines, versions, and errors that name file and line.
 
-A stage file and what it includes become one source. `#line` follows every seam between files, with the file's number
-as the source string, so that a driver's message can be translated back to names. One text serves OpenGL 4.1
+A stage file and what it includes become one source. `#line` follows every seam between files, so that a driver's
+message can be translated back to names. Mesa forgets the source string number in most of its messages, so the line
+number carries the file as well: file 2, line 38 is line 20038. One text serves OpenGL 4.1
 (with tessellation and `precise`) and 3.3 (without).
 """
 
@@ -16,11 +17,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from runtime.errors import RenderError
+from runtime.gl_state import compile_shader
 
 if TYPE_CHECKING:
     import moderngl
 
 MAX_INCLUDE_DEPTH = 16
+LINES_A_FILE = 10_000
 MIN_VERSION_CODE = 330
 TESSELLATION_VERSION_CODE = 410
 STAGES = {
@@ -47,9 +50,9 @@ class ShaderSource:
         """A driver's message with file numbers replaced by names."""
 
         def name(match: re.Match[str]) -> str:
-            number = int(match[2])
+            number, line = divmod(int(match[4]), LINES_A_FILE)
             shown = self.files[number] if number < len(self.files) else match[2]
-            return f"{match[1]}{shown}{match[3]}{match[4]}"
+            return f"{match[1]}{shown}{match[3]}{line}"
 
         return _MESSAGE_PLACE.sub(name, message)
 
@@ -80,7 +83,8 @@ def _expand(name: str, text: str, files: list[str], depth: int, folder: Path | N
     if name not in files:
         files.append(name)
     number = files.index(name)
-    lines = [f"#line 1 {number}"]
+    start = number * LINES_A_FILE
+    lines = [f"#line {start + 1} {number}"]
     for line_number, line in enumerate(text.splitlines(), start=1):
         match = _INCLUDE.match(line)
         if match is None:
@@ -88,7 +92,7 @@ def _expand(name: str, text: str, files: list[str], depth: int, folder: Path | N
             continue
         included, included_text = _find(match[1], name, folder)
         lines += _expand(included, included_text, files, depth + 1, folder)
-        lines.append(f"#line {line_number + 1} {number}")
+        lines.append(f"#line {start + line_number + 1} {number}")
     return lines
 
 
@@ -173,7 +177,10 @@ def build_program(
     """
     sources = {name: assemble(name, ctx.version_code, defines) for name in stages}
     if fragment_text is not None:
-        sources["caller.frag"] = assemble("caller.frag", ctx.version_code, defines, fragment_text, folder)
+        own = sources["caller.frag"] = assemble("caller.frag", ctx.version_code, defines, fragment_text, folder)
+        compiled, log = compile_shader(own.text, "frag")  # first alone: moderngl leaves objects behind when it fails
+        if not compiled:
+            raise RenderError(f"shader caller.frag does not compile:\n{own.explain(log)}")
     texts: dict[str, Any] = {STAGES[name.rpartition(".")[2]]: source.text for name, source in sources.items()}
     try:
         program = ctx.program(**texts)

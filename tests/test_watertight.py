@@ -173,7 +173,7 @@ void main() {
 def captured_points(
     ctx: moderngl.Context, asset: Asset, tessellation: float | str, defines: dict[str, int]
 ) -> np.ndarray:
-    """Every evaluated point: position (3), place in its patch (3), owner uvs of the patch's corners (6): (N, 12) float32."""
+    """Every evaluated point, (N, 12) float32: position (3), place in its patch (3), owner uvs of its corners (6)."""
     model, renderer = Model(ctx, asset), Renderer(ctx)
     program = capture_program(ctx, defines)
     program["Points"].binding = 3
@@ -283,8 +283,12 @@ def test_static_copies_are_the_same_bits(ctx: moderngl.Context, ball: Asset) -> 
     array = model.vertex_array(("test",), "test", program, 0, "triangles")
     mesh = ball.lods[0]
     out = ctx.buffer(reserve=12 * 3 * len(mesh.triangles))
+    framebuffer = ctx.simple_framebuffer((1, 1))
+    framebuffer.use()
     array.transform(out, mode=moderngl.TRIANGLES)
+    release_framebuffer(framebuffer)
     bits = np.frombuffer(out.read(), np.int32).reshape(-1, 3)
+    assert np.ptp(bits.view(np.float32), axis=0).min() > 0.5
     _, owner = np.unique(mesh.owner_uvs, axis=0, return_inverse=True)
     corner = owner.ravel()[mesh.triangles.ravel()]
     order = np.argsort(corner, kind="stable")
