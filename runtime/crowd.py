@@ -11,7 +11,7 @@ shares its pose with others, but only at levels whose own error is well above wh
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -33,7 +33,7 @@ from runtime.views import CrowdFrame
 Floats = NDArray[np.floating[Any]]
 
 # The nearest row is taken at levels whose error is so many times what the rounding in time may move a point.
-_ROUNDING_MARGIN = 4.0
+ROUNDING_MARGIN = 4.0
 _INSTANCE_ATTRIBUTES = (
     # name, components, type, normalised, byte offset
     ("in_world_row0", 4, gl_state.FLOAT, 0, 0),
@@ -45,7 +45,7 @@ _INSTANCE_ATTRIBUTES = (
 
 
 @dataclass(frozen=True)
-class _Level:
+class CrowdLevel:
     """Buffers of one level of detail of a crowd."""
 
     vertices: moderngl.Buffer
@@ -54,6 +54,7 @@ class _Level:
     groups: tuple[DrawGroup, ...]
     eight_joints: bool
     nearest_row: bool
+    error_m: float
 
 
 class Crowd:
@@ -94,7 +95,7 @@ class Crowd:
         self.baked = bake_clips(mixer.skeleton, chosen, boxes, int(ctx.info["GL_MAX_TEXTURE_SIZE"]))
         self.stage = Stage(self.baked, count)
         self.visible = True
-        self.last_counts: NDArray[np.int64] = np.zeros(len(model.lods), dtype=np.int64)
+        self.last_counts: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
         self._released = False
         self._owned: list[Any] = []
         self._programs: dict[tuple[str, bool, bool], moderngl.Program] = {}
@@ -214,6 +215,11 @@ class Crowd:
 
     # Buffers
 
+    @property
+    def textures(self) -> Mapping[str, moderngl.Texture]:
+        """Textures by the name of their sampler."""
+        return self.model.textures
+
     def _keep(self, thing: Any) -> Any:
         self._owned.append(thing)
         return thing
@@ -259,34 +265,27 @@ class Crowd:
             program.release()
         return levels
 
-    def _upload_levels(self) -> tuple[_Level, ...]:
+    def _upload_levels(self) -> tuple[CrowdLevel, ...]:
         levels = []
         for lod, (positions, joints, weights) in zip(self.model.lods, self._expand()):
             few_joints, few_weights = pick_joints(joints, weights)
-            vertices = np.concatenate(
-                [
-                    positions.astype("<f4").view(np.uint8).reshape(len(positions), -1),
-                    lod.mesh.uvs.astype("<f4").view(np.uint8).reshape(len(positions), -1),
-                    few_joints.astype("<u2").view(np.uint8).reshape(len(positions), -1),
-                    few_weights.astype("<f2").view(np.uint8).reshape(len(positions), -1),
-                ],
-                axis=1,
-            )
+            vertices = vertex_bytes(positions, lod.mesh.uvs, few_joints, few_weights)
             levels.append(
-                _Level(
-                    vertices=self._keep(self.ctx.buffer(np.ascontiguousarray(vertices).tobytes())),
+                CrowdLevel(
+                    vertices=self._keep(self.ctx.buffer(vertices)),
                     indices=lod.indices,
                     index_size=lod.index_size,
                     groups=lod.groups,
                     eight_joints=few_joints.shape[1] == 8,
-                    nearest_row=lod.mesh.error_m >= _ROUNDING_MARGIN * self.baked.shift_m,
+                    nearest_row=lod.mesh.error_m >= ROUNDING_MARGIN * self.baked.shift_m,
+                    error_m=lod.mesh.error_m,
                 )
             )
         return tuple(levels)
 
     def _level_errors(self) -> NDArray[np.float64]:
         """Error of each level, metres: of its shape, and of the rounding in time."""
-        errors = np.array([lod.mesh.error_m for lod in self.model.lods])
+        errors = np.array([level.error_m for level in self._levels])
         rounded = np.array([level.nearest_row for level in self._levels])
         return errors + np.where(rounded, self.baked.shift_m, 0.0)
 
@@ -315,7 +314,7 @@ class Crowd:
         if not len(selection.records):
             return
         self._write_instances(selection)
-        for name, texture in self.model.textures.items():
+        for name, texture in self.textures.items():
             texture.use(TEXTURE_UNITS[name])
         self._rows_texture.use(TEXTURE_UNITS["joint_texture"])
         for blended in (False, True) if frame.view.blends else (False,):
@@ -350,7 +349,7 @@ class Crowd:
             set_material(program, group.material, frame.view.blends)
             array.render(moderngl.TRIANGLES, vertices=3 * group.count, first=3 * group.first, instances=count)
 
-    def _program(self, frame: CrowdFrame, level: _Level) -> moderngl.Program:
+    def _program(self, frame: CrowdFrame, level: CrowdLevel) -> moderngl.Program:
         key = (frame.view_name, level.nearest_row, level.eight_joints)
         if key not in self._programs:
             defines: dict[str, str | int] = {**frame.defines, **frame.view.defines}
@@ -448,6 +447,20 @@ def _small_framebuffer(ctx: moderngl.Context, gl: gl_state.Functions) -> Iterato
         color.release()
         gl.glBindFramebuffer(gl_state.DRAW_FRAMEBUFFER, drawing)
         gl.glBindFramebuffer(gl_state.READ_FRAMEBUFFER, reading)
+
+
+def vertex_bytes(positions: Floats, uvs: Floats, joints: NDArray[np.uint16], weights: Floats) -> bytes:
+    """Vertices as crowd.vert reads them: position and uv float32, joints uint16, weights float16.
+
+    Parameters
+    ----------
+    positions : (V, 3) float, metres
+    uvs : (V, 2) float
+    joints, weights : (V, 4 or 8)
+    """
+    parts = (positions.astype("<f4"), uvs.astype("<f4"), joints.astype("<u2"), weights.astype("<f2"))
+    rows = [np.ascontiguousarray(part).view(np.uint8).reshape(len(positions), -1) for part in parts]
+    return np.concatenate(rows, axis=1).tobytes()
 
 
 def _skipped(form: str) -> str:
