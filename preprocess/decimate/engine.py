@@ -194,5 +194,7 @@ def make_engine(
         settings[rules.UV_SCALE],
         BOUNDARY_WEIGHT,
         mesh.quadric,
+        np.zeros((3, 5)),
+        np.zeros((2, 5)),
     )
     return Engine(mesh, half_edges, repairs, centre, scale)

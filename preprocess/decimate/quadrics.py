@@ -13,8 +13,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from preprocess.decimate.jit import entry, helper
 from preprocess.decimate.topology import TAIL, TWIN, WEDGE
 
@@ -48,14 +46,12 @@ def _orthonormal(p, q, r, e):
 
 
 @entry
-def accumulate_faces(links, num_faces, xyz, uv, uv_scale, boundary_weight, quadric):
+def accumulate_faces(links, num_faces, xyz, uv, uv_scale, boundary_weight, quadric, points, e):
     """Add a third of each face's area-weighted quadric to its three wedges, and hold open boundaries in place.
 
     An open edge adds the squared distance to the plane through it that stands on its face, so that it keeps its shape
-    where the surface is flat.
+    where the surface is flat. `points` (3, 5) and `e` (2, 5) are scratch.
     """
-    points = np.empty((3, 5))
-    e = np.empty((2, 5))
     for f in range(num_faces):
         for k in range(3):
             h = 3 * f + k

@@ -12,9 +12,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from preprocess.decimate.jit import entry, helper
+from preprocess.decimate.jit import helper
 from preprocess.decimate.lod import Repairs
 from preprocess.errors import InputError
 from preprocess.mesh import Floats, Ints, TexturedSurface
@@ -64,7 +65,7 @@ def previous_of(h):
     return h + 2 if h % 3 == 0 else h - 1
 
 
-@entry
+@njit(cache=True)
 def _pair(tail, num_vertices):
     """Twin of each half-edge (-1 for none) and the number of non-manifold edges.
 
@@ -110,7 +111,7 @@ def _pair(tail, num_vertices):
     return twin, broken
 
 
-@entry
+@njit(cache=True)
 def _label_fans(tail, twin):
     """Number the fans of faces around vertices that twins connect: (label a corner, a corner a label)."""
     count = len(tail)

@@ -1,0 +1,158 @@
+"""How far a level of detail is from the full mesh: distances both ways over dense samples and poses.
+
+The level is taken as it is drawn: its vertices at the position texture's values, skinned like the full mesh. Samples
+are the vertices and a low-discrepancy set over the area, so two runs agree to the bit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from preprocess.decimate.lod import Lod
+from preprocess.decimate.nearest import NearestTree, build_tree
+from preprocess.mesh import Floats, Ints, TexturedSurface
+
+# Samples over the area of each mesh, and how many of its vertices besides.
+NUM_SAMPLES = 8192
+# The R2 sequence (Roberts 2018): successive multiples of these, modulo one, cover the square evenly.
+_R2 = (0.7548776662466927, 0.5698402909980532)
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Points of a mesh: faces (N,) and barycentric weights (N, 3)."""
+
+    faces: NDArray[np.int64]
+    weights: Floats
+
+    def points(self, positions: Floats, faces: Ints) -> Floats:
+        """Where they are for some positions of the vertices, (N, 3)."""
+        return np.einsum("nk,nki->ni", self.weights, positions[faces[self.faces]])
+
+
+def sample_mesh(positions: Floats, faces: Ints, num_samples: int = NUM_SAMPLES) -> Samples:
+    """Points spread evenly over the area, and vertices (all, or every so many).
+
+    Parameters
+    ----------
+    positions : (V, 3) float64
+    faces : (F, 3) int32
+    num_samples : int
+        Of either kind.
+    """
+    corners = positions[faces]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    total = np.cumsum(areas)
+    at = (np.arange(num_samples) + 0.5) / num_samples * total[-1]
+    face = np.minimum(np.searchsorted(total, at), len(faces) - 1)
+    s, t = (np.arange(1, num_samples + 1) * _R2[0]) % 1.0, (np.arange(1, num_samples + 1) * _R2[1]) % 1.0
+    folded = s + t > 1.0
+    s, t = np.where(folded, 1.0 - s, s), np.where(folded, 1.0 - t, t)
+    first_corner = np.unique(faces.ravel(), return_index=True)[1]
+    first_corner = np.sort(first_corner)[:: max(1, len(first_corner) // num_samples)]
+    return Samples(
+        np.r_[face, first_corner // 3], np.r_[np.stack([1.0 - s - t, s, t], axis=1), np.eye(3)[first_corner % 3]]
+    )
+
+
+def blend_matrices(surface: TexturedSurface, uvs: Floats, poses: NDArray[np.floating]) -> Floats:
+    """Skinning matrices at uv points: those of the surface's vertices, blended over the uv triangle there.
+
+    Parameters
+    ----------
+    surface : TexturedSurface
+    uvs : (N, 2) float64
+    poses : (P, V, 3, 4) float
+
+    Returns
+    -------
+    (P, N, 3, 4) float64
+    """
+    flat = np.zeros((len(surface.uvs), 3))
+    flat[:, :2] = surface.uvs
+    points = np.zeros((len(uvs), 3))
+    points[:, :2] = uvs
+    _, faces, weights = build_tree(flat[surface.face_uvs]).query(points)
+    return np.einsum("nk,pnkij->pnij", weights, np.asarray(poses, np.float64)[:, surface.faces[faces]])
+
+
+def _normals(positions: Floats, faces: Ints) -> Floats:
+    """Unit normals of faces, (F, 3); zero where degenerate."""
+    corners = positions[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return normals / np.where(lengths > 0, lengths, 1.0)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The full mesh in every pose, ready to be compared with.
+
+    Attributes
+    ----------
+    surface : TexturedSurface
+    matrices : (P, V, 3, 4) float64, the bind pose first
+    posed : (P, V, 3) float64
+    trees : tuple of NearestTree, one a pose
+    samples : Samples
+    """
+
+    surface: TexturedSurface
+    matrices: Floats
+    posed: Floats
+    trees: tuple[NearestTree, ...]
+    samples: Samples
+
+
+def make_reference(surface: TexturedSurface, poses: NDArray[np.floating] | None, num_samples: int) -> Reference:
+    """Pose the full mesh and build what distances to it need; see `decimate` for the arguments."""
+    bind = np.broadcast_to(np.eye(3, 4), (1, len(surface.positions), 3, 4))
+    matrices = bind.copy() if poses is None else np.concatenate([bind, np.asarray(poses, np.float64)])
+    posed = np.einsum("pvij,vj->pvi", matrices[..., :3], surface.positions) + matrices[..., 3]
+    trees = tuple(build_tree(positions[surface.faces]) for positions in posed)
+    return Reference(surface, matrices, posed, trees, sample_mesh(surface.positions, surface.faces, num_samples))
+
+
+@dataclass(frozen=True)
+class Distances:
+    """Largest and mean two-sided distance, metres, and the mean angle between normals, radians."""
+
+    largest_m: float
+    mean_m: float
+    normal_rad: float
+
+
+def measure(reference: Reference, lod: Lod, num_samples: int = NUM_SAMPLES) -> Distances:
+    """Compare a level with the full mesh, both ways, in all poses.
+
+    Parameters
+    ----------
+    reference : Reference
+    lod : Lod
+    num_samples : int
+    """
+    if len(reference.matrices) > 1:
+        matrices = blend_matrices(reference.surface, lod.uvs[lod.owner_uvs], reference.matrices)
+        posed = np.einsum("pvij,vj->pvi", matrices[..., :3], lod.positions) + matrices[..., 3]
+    else:
+        posed = lod.positions[None]
+    samples = sample_mesh(lod.positions, lod.faces, num_samples)
+    largest, means, angles = 0.0, [], []
+    full = reference.surface
+    for full_positions, tree, positions in zip(reference.posed, reference.trees, posed, strict=True):
+        full_normals, normals = _normals(full_positions, full.faces), _normals(positions, lod.faces)
+        to_full, full_face, _ = tree.query(samples.points(positions, lod.faces))
+        from_full, face, _ = build_tree(positions[lod.faces]).query(
+            reference.samples.points(full_positions, full.faces)
+        )
+        largest = max(largest, float(to_full.max()), float(from_full.max()))
+        means += [to_full[:num_samples].mean(), from_full[:num_samples].mean()]
+        cosines = np.r_[
+            np.einsum("ni,ni->n", normals[samples.faces], full_normals[full_face])[:num_samples],
+            np.einsum("ni,ni->n", full_normals[reference.samples.faces], normals[face])[:num_samples],
+        ]
+        angles.append(np.arccos(np.clip(cosines, -1.0, 1.0)).mean())
+    return Distances(largest, float(np.mean(means)), float(np.mean(angles)))
