@@ -91,6 +91,12 @@ def run(arguments: argparse.Namespace) -> int:
         f"{mesh_name}: {result.num_edges} silhouette edges in {result.num_runs} straight runs, "
         f"{100.0 * result.collapsible_fraction:.1f} % of their length collapsible"
     )
+    if len(result.reduced_charts):
+        print(
+            f"{len(result.reduced_charts)} charts: tolerance reduced in places, against folds, crossings or distortion"
+        )
+    if result.folded:
+        print(f"{result.folded} faces are folded or have no area in the mesh's own texture coordinates and stay so")
     return 0
 
 
