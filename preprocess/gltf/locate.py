@@ -1,4 +1,9 @@
-"""Which triangles of a uv map lie under given uv points, by a uniform grid; linear in triangles and points."""
+"""Where on the full mesh the corners of a level of detail lie.
+
+A corner is looked for by its place on the surface and in the atlas together, among the faces around the nearest
+corners of the full mesh and the face its own stems from, in the same connected component. Either alone is not
+enough: charts may overlap in uv (a palette), and parts may touch in space.
+"""
 
 from __future__ import annotations
 
@@ -8,24 +13,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from preprocess.gltf.grouping import Indices
+from preprocess.gltf.grouping import Indices, group_rows, join_pairs
 from preprocess.mesh import Floats, TexturedSurface
 
-TRIANGLES_A_CELL = 1.0
-MARGIN_CELLS = 0.05  # a point this far outside a triangle's box still finds it
-SAME_PLACE = 1e-6  # triangles whose barycentric excess is this close to the best one's are all reported
+NEAREST = 4  # corners of the full mesh whose faces are tried
+MAX_FACES_A_CORNER = 32  # of a fan's centre
+COMPONENT_STEP = 10.0  # more than any distance within a component, in units of the diagonal and the uv square
+SAME_PLACE = 1e-5  # faces this much farther than the nearest, in those units, lie there too
 
 
 @dataclass(frozen=True)
 class Places:
-    """Triangles under N points; a point may have several. R rows, sorted by point.
+    """Faces of the full mesh at N points; a point on an edge has several. R rows, sorted by point, nearest first.
 
     Attributes
     ----------
     points : (R,) int64
     faces : (R,) int64
     barycentrics : (R, 3) float64
-        Non-negative, summing to one: a point outside every triangle is moved into the nearest.
+        Non-negative, summing to one.
     firsts : (N,) int64
         First row of each point; every point has one.
     """
@@ -36,80 +42,94 @@ class Places:
     firsts: Indices
 
 
-def _expand(starts: Indices, counts: Indices) -> tuple[Indices, Indices]:
+def expand_ranges(starts: Indices, counts: Indices) -> tuple[Indices, Indices]:
     """Owner and value of the ranges [start, start + count), one after the other."""
     owner = np.repeat(np.arange(len(counts)), counts)
     offset = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
     return owner, starts[owner] + offset
 
 
-def _candidates(corners: Floats, points: Floats) -> tuple[Indices, Indices]:
-    """Pairs of a point and a triangle whose cell-rounded box holds it."""
-    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    side = max(int(np.sqrt(len(corners) / TRIANGLES_A_CELL)), 1)
-    step = np.maximum(high - low, 1e-300) / side
-    first = np.clip(np.floor((corners.min(axis=1) - low) / step - MARGIN_CELLS), 0, side - 1).astype(np.int64)
-    last = np.clip(np.floor((corners.max(axis=1) - low) / step + MARGIN_CELLS), 0, side - 1).astype(np.int64)
-    extent = last - first + 1
-    owner, within = _expand(np.zeros(len(corners), np.int64), extent.prod(axis=1))
-    cell = (first[owner, 1] + within // extent[owner, 0]) * side + first[owner, 0] + within % extent[owner, 0]
-    order = np.argsort(cell, kind="stable")
-    counts = np.bincount(cell, minlength=side * side)
-    starts = np.cumsum(counts) - counts
-    at = np.clip(np.floor((points - low) / step), 0, side - 1).astype(np.int64)
-    here = at[:, 1] * side + at[:, 0]
-    point, slot = _expand(starts[here], counts[here])
-    return point, owner[order[slot]]
+def face_components(faces: NDArray[np.integer], num_vertices: int) -> Indices:
+    """Connected component of each face, over shared vertices, (F,) int64."""
+    _, vertex_component = join_pairs(num_vertices, np.r_[faces[:, 0], faces[:, 1]], np.r_[faces[:, 1], faces[:, 2]])
+    return vertex_component[faces[:, 0]]
 
 
-def _barycentrics(corners: Floats, points: Floats) -> Floats:
-    """Barycentric coordinates of points in triangles, row by row; -inf in triangles without area."""
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+def _nearest_in_triangles(corners: Floats, points: Floats) -> tuple[Floats, Floats]:
+    """Barycentric coordinates (R, 3) of the points' feet in triangles (R, 3, D), clamped, and their distances (R,).
 
-    def cross(p: Floats, q: Floats) -> NDArray[np.float64]:
-        return p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
+    The foot of a point beside a triangle is clamped towards it, not exactly nearest: good enough to rank faces.
+    """
+    a, e1, e2 = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    to = points - a
+    d11, d12, d22 = (np.einsum("rd,rd->r", x, y) for x, y in ((e1, e1), (e1, e2), (e2, e2)))
+    b1, b2 = np.einsum("rd,rd->r", to, e1), np.einsum("rd,rd->r", to, e2)
+    determinant = d11 * d22 - d12 * d12
+    safe = np.where(determinant > 1e-30, determinant, 1.0)
+    w1 = np.where(determinant > 1e-30, (d22 * b1 - d12 * b2) / safe, 0.0)
+    w2 = np.where(determinant > 1e-30, (d11 * b2 - d12 * b1) / safe, 0.0)
+    weights = np.maximum(np.stack([1.0 - w1 - w2, w1, w2], axis=1), 0.0)
+    weights /= weights.sum(axis=1, keepdims=True)
+    feet = np.einsum("rk,rkd->rd", weights, corners)
+    return weights, np.linalg.norm(points - feet, axis=1)
 
-    area = cross(b - a, c - a)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        wa, wb = cross(b - points, c - points) / area, cross(c - points, a - points) / area
-        found = np.stack([wa, wb, 1.0 - wa - wb], axis=1)
-    found[~np.isfinite(found).all(axis=1)] = -np.inf
-    return found
 
-
-def locate_uvs(surface: TexturedSurface, uvs: Floats) -> Places:
-    """Find the triangles under uv points.
+def locate_corners(
+    full: TexturedSurface, level: TexturedSurface, face_source: NDArray[np.integer]
+) -> tuple[Places, Indices, Indices]:
+    """Find the faces of the full mesh at each corner of a level.
 
     Parameters
     ----------
-    surface : TexturedSurface
-        Its uv map need not be one-to-one.
-    uvs : (N, 2) float64
+    full, level : TexturedSurface
+        Over the same atlas.
+    face_source : (F,) int
+        For each face of the level, one of the full mesh's in the same connected component.
 
     Returns
     -------
-    Places
-        For each point all triangles that hold it (those around it on an edge or vertex); where none does, the one it
-        misses least, or else one at the nearest texture vertex.
+    places : Places
+        Of the N distinct pairs of a surface vertex and a texture vertex of the level.
+    corner_points : (F, 3) int64
+        Which of them each corner of the level is.
+    first_corners : (N,) int64
+        A flat corner for each of them.
     """
-    corners = surface.uvs[surface.face_uvs]
-    point, face = _candidates(corners, uvs)
-    barycentric = _barycentrics(corners[face], uvs[point])
-    inside = barycentric.min(axis=1, initial=np.inf)
-    best = np.full(len(uvs), -np.inf)
-    np.maximum.at(best, point, inside)
-    kept = (inside >= np.minimum(best[point], 0.0) - SAME_PLACE) & np.isfinite(inside)
-    point, face, barycentric = point[kept], face[kept], barycentric[kept]
+    scale = 1.0 / max(full.diagonal_m, 1e-30)
+    components = face_components(full.faces, len(full.positions))
 
-    lost = np.flatnonzero(~np.isfinite(best))
-    if len(lost):
-        used, first_corner = np.unique(surface.face_uvs, return_index=True)
-        _, nearest = cKDTree(surface.uvs[used]).query(uvs[lost])
-        corner = first_corner[nearest]
-        point, face = np.r_[point, lost], np.r_[face, corner // 3]
-        barycentric = np.concatenate([barycentric, np.eye(3)[corner % 3]])
-    barycentric = np.maximum(barycentric, 0.0)
-    barycentric /= barycentric.sum(axis=1, keepdims=True)
-    order = np.lexsort((face, point))
-    point = point[order]
-    return Places(point, face[order], barycentric[order], np.searchsorted(point, np.arange(len(uvs))))
+    def coordinates(surface: TexturedSurface, corners: Indices, component: Indices) -> Floats:
+        place = surface.positions[surface.faces.reshape(-1)[corners]] * scale
+        uv = surface.uvs[surface.face_uvs.reshape(-1)[corners]]
+        return np.concatenate([place, uv, component[:, None] * COMPONENT_STEP], axis=1)
+
+    wedge, wedge_corners = group_rows(full.faces.reshape(-1), full.face_uvs.reshape(-1))
+    wedge_places = coordinates(full, wedge_corners, components[wedge_corners // 3])
+    point, point_corners = group_rows(level.faces.reshape(-1), level.face_uvs.reshape(-1))
+    targets = coordinates(level, point_corners, components[face_source][point_corners // 3])
+
+    count = min(NEAREST, len(wedge_places))
+    _, nearest = cKDTree(wedge_places).query(targets, k=count)
+    order = np.argsort(wedge, kind="stable")
+    valence = np.bincount(wedge)
+    starts = np.cumsum(valence) - valence
+    flat = nearest.reshape(-1)
+    owner, slot = expand_ranges(starts[flat], np.minimum(valence[flat], MAX_FACES_A_CORNER))
+    # The faces that the level's faces stem from are tried as well: a large one may have no corner nearby.
+    candidate = np.r_[owner // count, point]
+    face = np.r_[order[slot] // 3, np.repeat(face_source.astype(np.int64), 3)]
+    _, distinct = group_rows(candidate, face)
+    candidate, face = candidate[distinct], face[distinct]
+
+    face_corners = 3 * face[:, None] + np.arange(3)
+    component = np.repeat(components[face], 3)
+    triangles = coordinates(full, face_corners.reshape(-1), component).reshape(-1, 3, targets.shape[1])
+    weights, distance = _nearest_in_triangles(triangles, targets[candidate])
+    rank = np.round(distance / SAME_PLACE)
+    order = np.lexsort((face, rank, candidate))
+    candidate, face, weights, distance = candidate[order], face[order], weights[order], distance[order]
+    firsts = np.searchsorted(candidate, np.arange(len(targets)))
+    kept = distance <= distance[firsts][candidate] + SAME_PLACE
+    candidate = candidate[kept]
+    firsts = np.searchsorted(candidate, np.arange(len(targets)))
+    return Places(candidate, face[kept], weights[kept], firsts), point.reshape(-1, 3), point_corners

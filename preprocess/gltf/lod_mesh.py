@@ -1,8 +1,8 @@
 """A level of detail as ordinary vertex attributes: positions, normals, joints and weights from the full mesh.
 
-A texture vertex of the level lies somewhere in the atlas; the triangle of the full mesh that lies there too says what
-normal and which weights it has. Where several do (at a vertex or an edge), a corner takes the normal that its own
-face agrees with most, so hard edges stay hard without being marked. Vertices split where that differs.
+Each corner lies somewhere on the full mesh (locate.py); the face there says what normal and which weights it has.
+Where several do (at a vertex or an edge), a corner takes the normal that its own face agrees with most, so hard
+edges stay hard without being marked. Vertices split where normals or uvs differ.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.gltf.grouping import Indices, group_rows
-from preprocess.gltf.locate import Places, locate_uvs
+from preprocess.gltf.locate import Places, expand_ranges, locate_corners
 from preprocess.gltf.normals import face_normals
 from preprocess.mesh import Floats, SkinnedMesh, TexturedSurface
 
@@ -43,19 +43,32 @@ class LodMesh:
     faces: Indices
 
 
-def _corner_normals(mesh: SkinnedMesh, level: TexturedSurface, places: Places) -> Floats:
+def _corner_normals(mesh: SkinnedMesh, level: TexturedSurface, places: Places, corner_points: Indices) -> Floats:
     """The full mesh's normal at each corner of the level, on the side that the level's face is on, (F, 3, 3)."""
     own = np.repeat(face_normals(level.positions, level.faces.astype(np.int64)), 3, axis=0)
-    points = level.face_uvs.reshape(-1)
+    points = corner_points.reshape(-1)
     counts = np.diff(np.r_[places.firsts, len(places.points)])[points]
-    corner = np.repeat(np.arange(len(points)), counts)
-    row = places.firsts[points][corner] + np.arange(len(corner)) - np.repeat(np.cumsum(counts) - counts, counts)
+    corner, row = expand_ranges(places.firsts[points], counts)
     normals = np.einsum("rk,rkc->rc", places.barycentrics[row], mesh.corner_normals[places.faces[row]])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     agreement = np.round(np.einsum("rc,rc->r", normals, own[corner]), 6)  # ties go to the first: the same bits again
     best = np.lexsort((np.arange(len(row)), -agreement, corner))
     first = np.r_[True, corner[best][1:] != corner[best][:-1]]
-    return normals[best[first]].reshape(-1, 3, 3)
+    chosen = normals[best[first]]
+    unusable = np.linalg.norm(chosen, axis=1) < 0.5
+    chosen[unusable] = own[unusable]
+    return chosen.reshape(-1, 3, 3)
+
+
+def _vertex_weights(mesh: SkinnedMesh, num_joints: int, places: Places, rows: Indices) -> Floats:
+    """Dense weights of the level's surface vertices, interpolated over the full mesh's, (V, J)."""
+    sources = mesh.surface.faces[places.faces[rows]]
+    dense = np.zeros((len(rows), num_joints))
+    vertex = np.arange(len(rows))[:, None]
+    for k in range(3):
+        joints, weights = mesh.joint_indices[sources[:, k]], mesh.joint_weights[sources[:, k]]
+        np.add.at(dense, (vertex, joints), weights * places.barycentrics[rows, k : k + 1])
+    return dense
 
 
 def limit_influences(dense: Floats, num_influences: int) -> tuple[NDArray[np.int64], Floats]:
@@ -87,6 +100,7 @@ def build_lod_mesh(
     num_joints: int,
     level: TexturedSurface,
     owner_uvs: NDArray[np.integer],
+    face_source: NDArray[np.integer],
     num_influences: int,
 ) -> LodMesh:
     """Turn a level into vertex attributes.
@@ -100,16 +114,21 @@ def build_lod_mesh(
         Its uvs lie in the same atlas.
     owner_uvs : (V,) int
         The texture vertex that owns each surface vertex of the level.
+    face_source : (F,) int
+        A face of the full mesh that each face stems from.
     num_influences : int
         4 or 8.
     """
-    places = locate_uvs(mesh.surface, level.uvs)
-    normals = _corner_normals(mesh, level, places)
-    owner_rows = places.firsts[owner_uvs]
-    dense = mesh.dense_weights(num_joints)
-    sources = mesh.surface.faces[places.faces[owner_rows]]
-    blended = np.einsum("vk,vkj->vj", places.barycentrics[owner_rows], dense[sources])
-    joints, weights = limit_influences(blended, num_influences)
+    places, corner_points, point_corners = locate_corners(mesh.surface, level, face_source)
+    normals = _corner_normals(mesh, level, places, corner_points)
+    # The weights of a surface vertex are those at its owner's place; one that owns no corner takes its first.
+    point_vertex = level.faces.reshape(-1)[point_corners]
+    owns = level.face_uvs.reshape(-1)[point_corners] == owner_uvs[point_vertex]
+    order = np.lexsort((np.arange(len(owns)), ~owns, point_vertex))
+    point_of_vertex = np.zeros(len(level.positions), np.int64)
+    point_of_vertex[point_vertex[order[::-1]]] = order[::-1]
+    dense = _vertex_weights(mesh, num_joints, places, places.firsts[point_of_vertex])
+    joints, weights = limit_influences(dense, num_influences)
 
     flat = normals.reshape(-1, 3)
     steps = np.rint(flat / SAME_NORMAL).astype(np.int64)

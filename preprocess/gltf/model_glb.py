@@ -215,7 +215,7 @@ def describe_model(
     meshes: list[dict[str, Any]] = []
     first = len(nodes)
     for name, lod in zip(names, lods):
-        level = build_lod_mesh(mesh, skeleton.num_joints, lod.surface, lod.owner_uvs, influences)
+        level = build_lod_mesh(mesh, skeleton.num_joints, lod.surface, lod.owner_uvs, lod.face_source, influences)
         face_draws = draw_of_material[mesh.face_materials[lod.face_source]]
         nodes.append({"name": name, "mesh": len(meshes), "skin": 0})
         meshes.append(_describe_mesh(name, level, face_draws, buffer))
