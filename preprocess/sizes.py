@@ -15,7 +15,7 @@ log = logging.getLogger(__name__)
 
 GEOMETRY_SIZES_PX = (128, 192, 256, 384, 512, 768, 1024, 1536, 2048)
 WEIGHT_SIZES_PX = (64, 96, 128, 192, 256, 384, 512, 768)
-RMS_MARGIN, MAX_MARGIN = 0.7, 0.8  # of the accuracy goals: seam erasure and rounding add their own part
+RMS_MARGIN, MAX_MARGIN = 0.5, 0.8  # of the accuracy goals: seam erasure and rounding add their own part
 TEXELS_A_VERTEX = 1.5  # fewer cannot hold a value of its own for every vertex
 
 

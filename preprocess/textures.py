@@ -40,6 +40,9 @@ log = logging.getLogger(__name__)
 
 STEPS = {"uint8": 255, "uint16": 65535}
 SEAM_WEIGHT = 1e8  # see EraseOptions.seam_weight: leaves about 0.01 of an 8-bit step on straightened seams
+# Positions and weights at the full mesh's vertices weigh as much as seams do: shared points are owned and cannot crack,
+# so a jump of a hundred-thousandth of the size beside a seam costs less than a vertex out of place.
+GEOMETRY_WEIGHTS = dataclasses.replace(LOCAL, samples=1e8)
 
 
 @dataclass(frozen=True)
@@ -111,8 +114,9 @@ class TextureStage:
     def geometry_eraser(self, size: tuple[int, int]) -> Eraser:
         """The erasure of positions and weights: all seams joined, values known at the vertices. Once a size."""
         if size not in self._geometry_erasers:
+            options = EraseOptions(weights=GEOMETRY_WEIGHTS, seam_weight=SEAM_WEIGHT)
             self._geometry_erasers[size] = plan_erasure(
-                self.mesh.surface, self.seams, *size, self.options(None), sample_uvs=self.mesh.surface.uvs
+                self.mesh.surface, self.seams, *size, options, sample_uvs=self.mesh.surface.uvs
             )
         return self._geometry_erasers[size]
 

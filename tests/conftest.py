@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import ctypes
 import ctypes.util
-from collections.abc import Iterator
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import moderngl
 import pytest
 
-ASSETS = Path(__file__).resolve().parent.parent.parent / "shared" / "assets"
+ROOT = Path(__file__).resolve().parent.parent
+ASSETS = ROOT.parent / "shared" / "assets"
 KINDS = ("Buffer", "Texture", "VertexArray", "Framebuffer", "Renderbuffer", "Program", "Shader", "Query")
 HIGHEST_NAME = 4096  # names are handed out from 1 upwards; tests never come near this
 
@@ -59,3 +62,19 @@ def ctx(_shared_context: moderngl.Context) -> Iterator[moderngl.Context]:
 def asset_path() -> Any:
     """Function from a file name in ../shared/assets to its path; skips where it is missing."""
     return asset
+
+
+@pytest.fixture(scope="session")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Function from a file name in ../shared/assets to its built folder: made by the command line, once a session."""
+    folder = tmp_path_factory.mktemp("built")
+
+    def build(name: str) -> Path:
+        destination = folder / f"{Path(name).stem}.seamless"
+        if not destination.exists():
+            command = [sys.executable, "-m", "preprocess", str(asset(name)), "-o", str(destination), "--report"]
+            done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+            assert done.returncode == 0, done.stderr
+        return destination
+
+    return build
