@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import AssetError
+from runtime.gltf_schema import check_types
 
 GLB_MAGIC = b"glTF"
 CHUNK_JSON, CHUNK_BIN = 0x4E4F534A, 0x004E4942
@@ -41,6 +42,7 @@ ELEMENT_SHAPES: dict[str, tuple[int, ...]] = {
     "MAT3": (3, 3),
     "MAT4": (4, 4),
 }
+MAX_EMPTY = 2**25  # elements of an accessor without a buffer view: it asks for memory that the file does not hold
 # Extensions that hide the bytes of a buffer view, and how a person gets rid of them.
 COMPRESSED_VIEWS = ("EXT_meshopt_compression", "KHR_meshopt_compression", "MESHOPT_compression")
 
@@ -53,7 +55,7 @@ class Document:
     ----------
     path : Path
     json : dict
-        The root object. Its top-level lists (`nodes`, `meshes` ...) are checked to be lists of objects.
+        The root object. What readers look at has the right type (gltf_schema.py).
     """
 
     path: Path
@@ -107,6 +109,8 @@ class Document:
         if "bufferView" in spec:
             offset = spec.get("byteOffset", 0)
             values = self._read_view(spec["bufferView"], offset, dtype, shape, count, where).copy()
+        elif count > MAX_EMPTY:
+            raise AssetError(f"{where} has {count} elements and no data: export again")
         else:
             values = np.zeros((count, *shape), dtype)
         if "sparse" in spec:
@@ -264,11 +268,7 @@ def _parse_json(data: bytes, path: Path) -> dict[str, Any]:
     version = str(root["asset"].get("version", ""))
     if not version.startswith("2"):
         raise AssetError(f"{path.name} is glTF version {version or 'unknown'}: export it as glTF 2.0")
-    for name, entries in root.items():
-        if not isinstance(entries, list) or name.startswith("extensions"):
-            continue
-        if not all(isinstance(entry, dict) for entry in entries):
-            raise AssetError(f"{path.name}: {name} holds something that is not an object: export again")
+    check_types(root, path.name)
     return root
 
 

@@ -128,7 +128,7 @@ def broken(tmp_path: Path, change) -> Path:
     ("change", "says"),
     [
         (lambda b: b.json["accessors"][0].update(count=5), "reaches outside"),
-        (lambda b: b.json["accessors"][0].update(count=-1), "malformed"),
+        (lambda b: b.json["accessors"][0].update(count=-1), "accessors[0].count must be a whole number"),
         (lambda b: b.json["accessors"][0].update(byteOffset=4), "reaches outside"),
         (lambda b: b.json["accessors"][0].update(byteOffset=-4), "malformed"),
         (lambda b: b.json["accessors"][0].update(type="VEC5"), "malformed"),
@@ -140,7 +140,16 @@ def broken(tmp_path: Path, change) -> Path:
         (lambda b: b.json["bufferViews"][0].update(extensions={"EXT_meshopt_compression": {}}), "decompress"),
         (lambda b: b.json.update(asset={"version": "1.0"}), "glTF 2.0"),
         (lambda b: b.json.pop("asset"), "not a glTF file"),
-        (lambda b: b.json.update(nodes=[1, 2]), "not an object"),
+        (lambda b: b.json.update(nodes=[1, 2]), "nodes[0] must be an object"),
+        (lambda b: b.json.update(nodes=5), "nodes must be a list"),
+        (lambda b: b.json["nodes"][0].update(scale=[1, "2", 3]), "nodes[0].scale[1] must be a finite number"),
+        (lambda b: b.json["nodes"][0].update(scale=[1, float("nan"), 3]), "nodes[0].scale[1] must be a finite number"),
+        (lambda b: b.json["nodes"][0].update(mesh=True), "nodes[0].mesh must be a whole number"),
+        (lambda b: b.json.update(images=[{"uri": 3}]), "images[0].uri must be text"),
+        (
+            lambda b: b.json["accessors"].__setitem__(0, {"componentType": 5126, "count": 10**9, "type": "VEC3"}),
+            "no data",
+        ),
     ],
 )
 def test_damage_is_told_in_one_line(tmp_path: Path, change, says: str) -> None:
