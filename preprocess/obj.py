@@ -12,6 +12,7 @@ import os
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,7 @@ def _numbers(text: bytes, expected: int, dtype: type, path: Path, keyword: str) 
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
-            values = np.fromstring(text, dtype=dtype, sep=" ") if expected else np.zeros(0, dtype)
+            values: NDArray[Any] = np.fromstring(text, dtype=dtype, sep=" ") if expected else np.zeros(0, dtype)
         except (ValueError, DeprecationWarning):
             values = np.zeros(0, dtype)
     if len(values) != expected:

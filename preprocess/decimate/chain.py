@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import logging
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.decimate.engine import Engine, make_engine
-from preprocess.decimate.lod import Chain, DecimateOptions, Lod
+from preprocess.decimate.floor import count_floor
+from preprocess.decimate.lod import Chain, DecimateOptions, Lod, Strictness
+from preprocess.decimate.measure import NUM_SAMPLES, Reference, make_reference, measure
 from preprocess.decimate.topology import build_half_edges
 from preprocess.errors import InputError
 from preprocess.mesh import TexturedSurface
@@ -87,6 +90,89 @@ def decimate_to(
     )
 
 
+def decimate_within(
+    surface: TexturedSurface,
+    error_m: float,
+    options: DecimateOptions | None = None,
+    *,
+    position_texture: NDArray[np.floating] | None = None,
+    poses: NDArray[np.floating] | None = None,
+) -> Chain:
+    """The coarsest level whose measured error is within a bound, to a twentieth of its faces.
+
+    Parameters
+    ----------
+    surface : TexturedSurface
+    error_m : float
+        Above zero.
+    options, position_texture, poses
+        See `decimate`.
+
+    Returns
+    -------
+    Chain
+        With one level; its `blocked` is empty unless the floor was reached.
+
+    Raises
+    ------
+    InputError
+        If the bound is not above zero, or as `decimate`.
+    """
+    if not error_m > 0.0:
+        raise InputError(f"an error of {error_m:g} m is not above zero: give a distance in metres")
+    engine = make_engine(surface, options or DecimateOptions(), position_texture, poses)
+    reference = make_reference(surface, poses, NUM_SAMPLES)
+    best = _measured(reference, engine.snapshot(), 0.0)
+    target = engine.num_faces
+    while True:
+        target = min(math.floor(0.95 * target), target - 1)
+        engine.run_to(target)
+        lod = _measured(reference, engine.snapshot(), best.error_m)
+        if lod.error_m > error_m or lod.num_faces >= best.num_faces:
+            break
+        best = lod
+        if engine.num_faces > target:
+            break
+    stopped = engine.num_faces > target
+    floor, blocked = (engine.num_faces, engine.blocked()) if stopped else (-1, {})
+    return Chain((best,), floor, blocked, engine.repairs, engine.repairs.warnings())
+
+
+def _measured(reference: Reference, lod: Lod, at_least_m: float) -> Lod:
+    """A level with its distances filled in; its error is no less than a finer level's, so selection is monotone."""
+    distances = measure(reference, lod)
+    return replace(
+        lod,
+        error_m=max(distances.largest_m, at_least_m),
+        mean_error_m=distances.mean_m,
+        normal_error_rad=distances.normal_rad,
+    )
+
+
+def _relaxed_levels(
+    engine: Engine, reference: Reference, finest: Lod, targets: list[int], options: DecimateOptions
+) -> list[Lod]:
+    """Levels below the exact floor, each with seams that stray by less than can be seen where it is used.
+
+    A level is used where its error is about a pixel, and the mip level there has texels of about a pixel, so half a
+    texel of that mip is half of the error, as a length on the surface. The error of the level before is the lower
+    bound that counts here.
+    """
+    lods: list[Lod] = []
+    last = finest
+    for target in targets:
+        if target >= last.num_faces:
+            continue
+        engine.relax(options.relaxed_px * last.error_m / engine.metres_per_uv)
+        engine.run_to(target)
+        if engine.num_faces > (1 - MIN_SAVING_REL) * last.num_faces:
+            break
+        bound_px = engine.deviation_uv * options.texture_px
+        last = replace(_measured(reference, engine.snapshot(), last.error_m), exact=False, uv_bound_px=bound_px)
+        lods.append(last)
+    return lods
+
+
 def decimate(
     surface: TexturedSurface,
     options: DecimateOptions | None = None,
@@ -94,7 +180,7 @@ def decimate(
     position_texture: NDArray[np.floating] | None = None,
     poses: NDArray[np.floating] | None = None,
 ) -> Chain:
-    """A chain of levels of detail that share one set of textures.
+    """A chain of levels of detail that share one set of textures, each measured against the full mesh.
 
     Parameters
     ----------
@@ -109,7 +195,8 @@ def decimate(
     Returns
     -------
     Chain
-        Level 0 is the full mesh (cleaned), unless `options.ratios` leaves it out.
+        Level 0 is the full mesh (cleaned), unless `options.ratios` leaves it out. Relaxed levels come last and only
+        in the automatic chain.
 
     Raises
     ------
@@ -118,20 +205,30 @@ def decimate(
     """
     options = options or DecimateOptions()
     engine = make_engine(surface, options, position_texture, poses)
+    reference = make_reference(surface, poses, NUM_SAMPLES)
     lods: list[Lod] = []
-    floor = -1
-    for target in _targets(engine.num_faces, options):
+    targets = _targets(engine.num_faces, options)
+    floor, blocked = -1, {}
+    for target in targets:
         engine.run_to(target)
-        worth = not lods or options.ratios is not None or engine.num_faces <= (1 - MIN_SAVING_REL) * lods[-1].num_faces
-        if worth:
-            lods.append(engine.snapshot())
+        last_error = lods[-1].error_m if lods else 0.0
+        if not lods or options.ratios is not None or engine.num_faces <= (1 - MIN_SAVING_REL) * lods[-1].num_faces:
+            lods.append(_measured(reference, engine.snapshot(), last_error))
         if engine.num_faces > target:
-            floor = engine.num_faces
+            floor, blocked = engine.num_faces, engine.blocked()
             break
-    blocked = engine.blocked() if floor >= 0 else {}
-    warnings = engine.repairs.warnings()
+    warnings = list(engine.repairs.warnings())
+    if floor >= 0 and options.ratios is None and options.relaxed_px > 0 and options.strict is Strictness.SEAMLESS:
+        coarser = [target for target in targets if target < floor]
+        relaxed = _relaxed_levels(engine, reference, lods[-1], coarser, options)
+        lods += relaxed
+        warnings += [
+            f"level {len(lods) - len(relaxed) + i} ({lod.num_faces} faces) has seams relaxed by up to "
+            f"{lod.uv_bound_px:.1f} texels"
+            for i, lod in enumerate(relaxed)
+        ]
     log.info("decimate: %d -> %s faces", len(surface.faces), ", ".join(str(lod.num_faces) for lod in lods))
-    return Chain(tuple(lods), floor, blocked, engine.repairs, warnings)
+    return Chain(tuple(lods), floor, blocked, engine.repairs, tuple(warnings))
 
 
 def floor_faces(surface: TexturedSurface, tolerance_uv: float = 1e-9) -> int:
@@ -150,10 +247,5 @@ def floor_faces(surface: TexturedSurface, tolerance_uv: float = 1e-9) -> int:
     InputError
         See `decimate`.
     """
-    from preprocess.decimate.floor import count_floor
-
     half_edges, _ = build_half_edges(surface)
     return count_floor(half_edges, surface, tolerance_uv)
-
-
-__all__ = ["Engine", "check_target", "decimate", "decimate_to", "floor_faces"]

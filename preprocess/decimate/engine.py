@@ -13,6 +13,7 @@ from preprocess.decimate.lod import DecimateOptions, Lod, Repairs, Strictness
 from preprocess.decimate.quadrics import SIZE, accumulate_faces
 from preprocess.decimate.rules import Mesh
 from preprocess.decimate.topology import TAIL, TWIN, WEDGE, HalfEdges, build_half_edges
+from preprocess.decimate.vertex_cache import reorder
 from preprocess.mesh import Floats, TexturedSurface
 from preprocess.texels import sample_bilinear
 
@@ -58,6 +59,9 @@ class Engine:
     centre_m : (3,) float64
     scale_m : float
         Metres of one normalised unit.
+    metres_per_uv : float
+        Square root of the surface's area over its area in uv.
+    position_texture : (H, W, 3) float64, metres, or None
     """
 
     mesh: Mesh
@@ -65,6 +69,8 @@ class Engine:
     repairs: Repairs
     centre_m: Floats
     scale_m: float
+    metres_per_uv: float
+    position_texture: Floats | None
 
     @property
     def num_faces(self) -> int:
@@ -75,6 +81,22 @@ class Engine:
         """Collapse until that many faces are left, the next collapse costs more, or none is legal."""
         run(self.mesh, target_faces, max_cost, np.zeros(0, np.int64))
 
+    def relax(self, tolerance_uv: float) -> None:
+        """Let seams stray that far from their lines from now on, and look at every edge again."""
+        mesh = self.mesh
+        mesh.settings[rules.SEAM_TOLERANCE] = tolerance_uv
+        mesh.links[:, rules.PLACE] = -1
+        mesh.links[:, rules.BLOCKED] = 0
+        mesh.vertices[:, rules.NUM_BLOCKED] = 0
+        mesh.counter[rules.HEAP_SIZE] = 0
+        mesh.counter[rules.PRICED] = 0
+
+    @property
+    def deviation_uv(self) -> float:
+        """How far seams have strayed from their lines, uv."""
+        alive = self.mesh.links[:, TAIL] >= 0
+        return float(self.mesh.deviation[alive].max(initial=0.0))
+
     def blocked(self) -> dict[str, int]:
         """Number of edges that cannot collapse, by rule."""
         counts = np.zeros(8, np.int64)
@@ -82,22 +104,31 @@ class Engine:
         return {name: int(counts[rule]) for rule, name in rules.RULE_NAMES.items() if counts[rule]}
 
     def snapshot(self) -> Lod:
-        """What is left, as compact arrays in metres; faces in the order of the source's."""
+        """What is left, as compact arrays in metres, in an order that suits a GPU's caches."""
         mesh, half_edges = self.mesh, self.half_edges
         num_faces = half_edges.num_faces
         alive = np.flatnonzero(mesh.links[: 3 * num_faces : 3, TAIL] >= 0)
-        corners = (3 * alive[:, None] + np.arange(3)).ravel()
-        vertices, faces = np.unique(mesh.links[corners, TAIL], return_inverse=True)
-        wedges, face_uvs = np.unique(mesh.links[corners, WEDGE], return_inverse=True)
-        owners = np.full(len(vertices), len(wedges), np.int64)
-        np.minimum.at(owners, faces, face_uvs)
+        corners = 3 * alive[:, None] + np.arange(3)
+        faces, face_uvs = mesh.links[corners, TAIL], mesh.links[corners, WEDGE]
+        face_order, vertices, wedges = reorder(faces, face_uvs)
+        faces, face_uvs = faces[face_order], face_uvs[face_order]
+        new_vertex = np.zeros(len(mesh.xyz), np.int32)
+        new_vertex[vertices] = np.arange(len(vertices))
+        new_wedge = np.zeros(len(mesh.uv), np.int32)
+        new_wedge[wedges] = np.arange(len(wedges))
+        owners = np.zeros(len(mesh.xyz), np.int64)
+        owners[faces[::-1].ravel()] = face_uvs[::-1].ravel()
+        if self.position_texture is None:
+            positions = mesh.xyz[vertices] * self.scale_m + self.centre_m
+        else:
+            positions = sample_bilinear(self.position_texture, mesh.uv[owners[vertices]])
         return Lod(
             uvs=mesh.uv[wedges],
-            face_uvs=face_uvs.reshape(-1, 3).astype(np.int32),
-            faces=faces.reshape(-1, 3).astype(np.int32),
-            owner_uvs=owners.astype(np.int32),
-            face_source=half_edges.face_source[alive].astype(np.int32),
-            positions=mesh.xyz[vertices] * self.scale_m + self.centre_m,
+            face_uvs=new_wedge[face_uvs],
+            faces=new_vertex[faces],
+            owner_uvs=new_wedge[owners[vertices]],
+            face_source=half_edges.face_source[alive[face_order]],
+            positions=positions,
         )
 
 
@@ -197,4 +228,5 @@ def make_engine(
         np.zeros((3, 5)),
         np.zeros((2, 5)),
     )
-    return Engine(mesh, half_edges, repairs, centre, scale)
+    drawn = None if position_texture is None else np.asarray(position_texture, np.float64)
+    return Engine(mesh, half_edges, repairs, centre, scale, metres_per_uv * scale, drawn)

@@ -6,9 +6,12 @@ renewed when its own file changes; after editing a helper in another file, touch
 
 from __future__ import annotations
 
+from typing import Any
+
 from numba import njit
 
 # Kernels allocate nothing, so they need no reference counts: half of the running and a third of the compiling.
-_OPTIONS = {"error_model": "numpy", "_nrt": False}
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
 entry = njit(cache=True, **_OPTIONS)
-helper = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS)
+_WITHOUT_WRAPPERS: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+helper = njit(**_OPTIONS, **_WITHOUT_WRAPPERS)
