@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -24,7 +25,8 @@ def create_context() -> moderngl.Context:
         If this machine has none to give.
     """
     try:
-        return moderngl.create_context(standalone=True, backend="egl")
+        settings: dict[str, Any] = {"backend": "egl"}
+        return moderngl.create_context(standalone=True, **settings)
     except Exception as error:  # the backend raises its bare Exception whatever is missing
         reason = str(error).splitlines()[0]
         raise DemoError(

@@ -7,7 +7,7 @@ caller of the runtime could.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import moderngl
 import numpy as np
@@ -121,5 +121,6 @@ class Stage:
 
     def release(self) -> None:
         """Free everything. May be called more than once."""
-        for thing in (self._array, self._program, *self._targets, *self._maps):
+        owned: list[Any] = [self._array, self._program, *self._targets, *self._maps]
+        for thing in owned:
             thing.release()

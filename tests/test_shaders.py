@@ -152,8 +152,10 @@ def test_the_texel_rule_is_the_same_on_both_processors(ctx: moderngl.Context, si
 
 
 def test_unused_shader_files_do_not_exist() -> None:
-    sources = "".join(path.read_text() for folder in ("runtime", "demos", "benchmarks", "shaders", "tests")
-                      for path in (SHADERS.parent / folder).rglob("*.*") if path.suffix in (".py", ".glsl", ".vert", ".frag", ".tese", ".tesc"))  # fmt: skip
+    folders = ("runtime", "demos", "benchmarks", "shaders", "tests")
+    suffixes = {".py", ".glsl", *(f".{stage}" for stage in SHADER_STAGES)}
+    paths = [path for folder in folders for path in (SHADERS.parent / folder).rglob("*.*") if path.suffix in suffixes]
+    sources = "".join(path.read_text() for path in paths)
     for path in (SHADERS / "include").iterdir():
         assert f'"{path.name}"' in sources or f'"include/{path.name}"' in sources, path.name
     for name in STAGE_FILES:

@@ -1,0 +1,426 @@
+"""Drawing: pictures are right, the caller's GL state survives, and misuse is named."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import moderngl
+import numpy as np
+import pytest
+from builders_asset import build_ball, surface_corners, weights_at
+
+import runtime
+from preprocess.texels import sample_bilinear
+from preprocess.weights import unpack_weights
+from runtime import gl_state
+from runtime.asset import Asset, load
+from runtime.camera import Camera, MatrixCamera, framing
+from runtime.environment import Environment, Lighting
+from runtime.errors import RenderError
+from runtime.gpu_asset import Model
+from runtime.renderer import Renderer
+from runtime.views import VIEWS
+
+SIDE_PX = 96
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory: pytest.TempPathFactory) -> Asset:
+    return load(build_ball(tmp_path_factory.mktemp("draw") / "ball.seamless", sizes=(12, 6, 3)))
+
+
+class Scene:
+    """A model, a renderer and somewhere to draw."""
+
+    def __init__(self, ctx: moderngl.Context, asset: Asset, **options: Any) -> None:
+        self.ctx = ctx
+        self.model, self.renderer = Model(ctx, asset), Renderer(ctx, **options)
+        self.framebuffer = ctx.simple_framebuffer((SIDE_PX, SIDE_PX), 4)
+        self.camera = framing(asset.manifest.bind_bounds)
+
+    def picture(self, actors: Any, camera: Any = None, **how: Any) -> np.ndarray:
+        """(H, W, 4) uint8, row 0 at the top."""
+        self.framebuffer.use()
+        self.framebuffer.clear(depth=1.0)
+        self.renderer.draw(actors, camera or self.camera, **how)
+        data = self.framebuffer.read(components=4)
+        return np.frombuffer(data, np.uint8).reshape(SIDE_PX, SIDE_PX, 4)[::-1].astype(int)
+
+    def release(self) -> None:
+        self.model.release()
+        self.renderer.release()
+        for thing in (*self.framebuffer.color_attachments, self.framebuffer.depth_attachment, self.framebuffer):
+            thing.release()
+
+
+@pytest.fixture
+def scene(ctx: moderngl.Context, ball: Asset) -> Iterator[Scene]:
+    made = Scene(ctx, ball)
+    yield made
+    made.release()
+
+
+# Right
+
+
+@pytest.mark.parametrize("view", [*VIEWS])
+@pytest.mark.parametrize("tessellation", ["off", 3.0])
+def test_every_view_draws_the_body_and_nothing_else(scene: Scene, view: str, tessellation: Any) -> None:
+    actor = scene.model.actor(clip="bend", time_s=0.25)
+    mask = scene.picture([actor], view="mask", tessellation=tessellation)[..., 3] > 0
+    picture = scene.picture([actor], view=view, tessellation=tessellation)
+    assert 0.05 < mask.mean() < 0.9
+    if view == "depth":
+        assert not picture.any()
+    elif view not in ("wireframe", "seams"):  # lines may be half a pixel wider
+        assert ((picture[..., 3] == 255) == mask).all()
+    if view == "seams":  # Mesa holds on to a program that followed a tessellated one until the next tessellated draw
+        scene.picture([actor], tessellation=tessellation)
+
+
+def test_positions_follow_the_textures_to_float_rounding(scene: Scene, ball: Asset) -> None:
+    """GPU positions against float64 skinning of the same texels, through the position picture of one flat view."""
+    from runtime.gl_state import functions, saved_state
+    from runtime.gpu_asset import INSTANCE, TEXTURE_UNITS
+    from runtime.programs import assemble
+
+    ctx, model = scene.ctx, scene.model
+    mesh = ball.lods[0]
+    actor = model.actor(clip="bend", time_s=0.3)
+    program = ctx.program(vertex_shader=assemble("static.vert", ctx.version_code).text, varyings=["surface_position"])
+    with saved_state(range(16), (0,), True):
+        for name, value in {**TEXTURE_UNITS, **model.constants}.items():
+            if name in program:
+                program[name].value = value
+        for name, texture in model.textures.items():
+            texture.use(TEXTURE_UNITS[name])
+        rows = np.ascontiguousarray(actor.joint_rows[None], np.float32)
+        model.joint_texture(rows).use(TEXTURE_UNITS["joint_texture"])
+        record = np.zeros(1, INSTANCE)
+        record["rows"][:] = np.eye(4)[:3]
+        model.instance_buffer("test", record)
+        out = ctx.buffer(reserve=12 * 3 * len(mesh.triangles))
+        scene.framebuffer.use()
+        model.vertex_array(("test",), "test", program, 0, "triangles").transform(out, mode=moderngl.TRIANGLES)
+        drawn = np.frombuffer(out.read(), np.float32).reshape(-1, 3)
+        functions().glUseProgram(0)
+        out.release()
+        program.release()
+    texels = ball.textures["position"].levels[0][:, :, :3].astype(np.float64)
+    low, high = texels.min(axis=(0, 1)), texels.max(axis=(0, 1))
+    texels = np.rint((texels - low) / (high - low) * 65535) / 65535 * (high - low) + low
+    weights = unpack_weights(ball.textures["weights"].levels[0], ball.weight_size, ball.num_joints)
+    rest = sample_bilinear(texels, mesh.owner_uvs)
+    blended = np.einsum("vj,jrc->vrc", sample_bilinear(weights, mesh.owner_uvs), rows[0].astype(np.float64))
+    expected = np.einsum("vrc,vc->vr", blended[:, :, :3], rest) + blended[:, :, 3]
+    assert np.abs(drawn - expected[mesh.triangles.ravel()]).max() < 3e-6
+
+
+def test_the_mask_is_that_of_the_formula(scene: Scene, ball: Asset) -> None:
+    """At rest, drawn vertices project onto the body's own outline."""
+    points = surface_corners(40)
+    matrices = scene.camera.matrices(SIDE_PX, SIDE_PX)
+    clip = (points - matrices.eye) @ matrices.clip_from_world[:, :3].T + matrices.clip_from_world[:, 3]
+    px = (clip[:, :2] / clip[:, 3:] * [0.5, -0.5] + 0.5) * SIDE_PX
+    expected = np.zeros((SIDE_PX, SIDE_PX), bool)
+    expected[px[:, 1].astype(int), px[:, 0].astype(int)] = True
+    drawn = scene.picture([scene.model.actor()], view="mask")[..., 0] > 0
+    assert (expected & ~drawn).sum() <= 0.08 * drawn.sum()
+    rows, columns = np.nonzero(drawn)
+    assert abs(px[:, 0].min() - columns.min()) < 1.5 and abs(px[:, 1].max() - rows.max()) < 1.5
+
+
+def test_normals_turn_with_the_body(scene: Scene) -> None:
+    """A whole turn of the actor leaves the same picture only if normals turn with it."""
+    camera = Camera((0.0, 1.0, 6.0), (0.0, 1.0, 0.0))
+    actor = scene.model.actor()
+    turn = np.diag([-1.0, 1.0, -1.0, 1.0])  # half a turn
+    front = scene.picture([actor], camera, view="normal")
+    actor.transform = turn
+    back = scene.picture([actor], Camera((0.0, 1.0, -6.0), (0.0, 1.0, 0.0)), view="normal")
+    inside = (front[..., 3] > 0) & (back[..., 3] > 0)
+    assert inside.mean() > 0.02
+    expected = front[inside][:, :3] * [-1, 1, -1] + [255, 0, 255]
+    assert np.abs(back[inside][:, :3] - expected).max() <= 2
+
+
+def test_mirrored_actors_show_their_outside(scene: Scene) -> None:
+    camera = Camera((0.0, 1.0, 6.0), (0.0, 1.0, 0.0))
+    actor = scene.model.actor(transform=np.diag([-1.0, 1.0, 1.0, 1.0]))
+    picture = scene.picture([actor], camera, view="normal")
+    centre = picture[SIDE_PX // 2, SIDE_PX // 2]
+    assert centre[3] == 255 and centre[2] > 200  # facing the camera, +Z
+
+
+def test_worlds_far_from_the_origin_keep_their_precision(scene: Scene) -> None:
+    near = scene.picture([scene.model.actor()], view="mask")
+    offset = np.array([2.0e5, -1.0e5, 3.0e5])
+    moved = np.eye(4)
+    moved[:3, 3] = offset
+    camera = Camera(
+        tuple(scene.camera.eye + offset), tuple(scene.camera.target + offset), fovy_deg=scene.camera.fovy_deg
+    )
+    far = scene.picture([scene.model.actor(transform=moved)], camera, view="mask")
+    assert (near != far).any(axis=-1).sum() <= 2
+
+
+def test_three_hundred_joints_work(ctx: moderngl.Context, tmp_path: Path) -> None:
+    asset = load(build_ball(tmp_path / "many.seamless", num_joints=300, sizes=(12,), weight_px=64))
+    assert asset.textures["weights"].levels[0].dtype == np.uint16
+    scene = Scene(ctx, asset)
+    few = Scene(ctx, load(build_ball(tmp_path / "few.seamless", num_joints=1, sizes=(12,))))
+    rest = scene.picture([scene.model.actor()], view="mask")
+    assert (rest != few.picture([few.model.actor()], view="mask")).any(axis=-1).mean() < 0.002
+    bent = scene.picture([scene.model.actor(clip="bend", time_s=0.25)], view="mask")
+    assert (bent != rest).any(axis=-1).mean() > 0.01
+    few.release()
+    scene.release()
+
+
+def test_materials_cut_out_and_blend(ctx: moderngl.Context, tmp_path: Path) -> None:
+    materials = [
+        {"name": "solid"},
+        {"name": "hole", "alphaMode": "MASK", "pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 0.2]}},
+        {"name": "glass", "alphaMode": "BLEND", "pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 0.5]},
+         "extensions": {"KHR_materials_unlit": {}}, "doubleSided": False},
+    ]  # fmt: skip
+    asset = load(
+        build_ball(tmp_path / "b.seamless", sizes=(8,), materials=materials, face_materials=(0, 0, 0, 0, 2, 1))
+    )
+    scene = Scene(ctx, asset)
+    actor = scene.model.actor()
+    glass = scene.picture([actor], Camera((0.0, 1.0, 6.0), (0.0, 1.0, 0.0)))[SIDE_PX // 2, SIDE_PX // 2]
+    assert 100 < glass[3] < 200
+    hole = scene.picture([actor], Camera((0.0, 1.0, -6.0), (0.0, 1.0, 0.0)))[SIDE_PX // 2, SIDE_PX // 2]
+    assert hole[3] == 0
+    solid = scene.picture([actor], Camera((6.0, 1.0, 0.0), (0.0, 1.0, 0.0)))[SIDE_PX // 2, SIDE_PX // 2]
+    assert solid[3] == 255
+    scene.release()
+
+
+def test_a_furnace_shows_no_more_light_than_there_is(scene: Scene) -> None:
+    """In a uniform white room without sun nothing is brighter than the room."""
+    scene.renderer.lighting = Lighting(
+        sun_color=(0, 0, 0), environment=Environment.uniform(0.4 * np.ones(3)), exposure=1.0
+    )
+    picture = scene.picture([scene.model.actor()])
+    room = 255 * (1.055 * 0.4 ** (1 / 2.4) - 0.055)
+    assert 40 < picture[..., :3].max() <= room + 3
+
+
+def test_levels_differ_little_and_are_shown(scene: Scene) -> None:
+    actor = scene.model.actor()
+    finest = scene.picture([actor], view="mask", lod=0)
+    for level in (1, 2):
+        coarser = scene.picture([actor], view="mask", lod=level, tessellation="off")
+        assert 0 < (coarser != finest).any(axis=-1).mean() < 0.05
+        tessellated = scene.picture([actor], view="mask", lod=level, tessellation=8.0)
+        assert (tessellated != finest).any(axis=-1).mean() < (coarser != finest).any(axis=-1).mean()
+    assert scene.renderer.last_drawn[actor].tessellated
+
+
+def test_actors_out_of_view_are_not_drawn(scene: Scene) -> None:
+    actor = scene.model.actor()
+    aside = np.eye(4)
+    aside[0, 3] = 100.0
+    actor.transform = aside
+    assert not scene.picture([actor]).any()
+    assert scene.renderer.last_drawn[actor].level == -1
+
+
+def test_many_actors_are_the_sum_of_each(scene: Scene) -> None:
+    places = []
+    for x in (-0.9, 0.0, 0.9):
+        matrix = np.eye(4)
+        matrix[0, 3] = x
+        places.append(matrix)
+    actors = [scene.model.actor(clip="bend", time_s=0.3 * i, transform=place) for i, place in enumerate(places)]
+    camera = Camera((0.0, 1.0, 9.0), (0.0, 1.0, 0.0))
+    together = scene.picture(actors, camera, view="mask")
+    alone = np.maximum.reduce([scene.picture([actor], camera, view="mask") for actor in actors])
+    assert (together == alone).all()
+
+
+# The caller's own shaders
+
+
+def test_a_caller_brings_a_fragment_shader(scene: Scene, tmp_path: Path) -> None:
+    (tmp_path / "tones.glsl").write_text("vec3 tone(float t) { return vec3(t, 0.0, 1.0); }\n")
+    (tmp_path / "toon.frag").write_text(
+        '#include "surface.glsl"\n#include "tones.glsl"\nuniform float strength;\nout vec4 result;\n'
+        "void main() { Surface s = read_surface(); result = vec4(tone(strength * step(-2.0, s.normal.y)), 1.0); }\n"
+    )
+    scene.renderer.add_view("toon", tmp_path / "toon.frag")
+    actor = scene.model.actor()
+    picture = scene.picture([actor], view="toon", uniforms={"strength": 0.5})
+    assert (picture[SIDE_PX // 2, SIDE_PX // 2] == [128, 0, 255, 255]).all()
+    scene.renderer.add_view("toon", "out vec4 result;\nvoid main() { result = vec4(0.0, 1.0, 0.0, 1.0); }")
+    assert (scene.picture([actor], view="toon")[SIDE_PX // 2, SIDE_PX // 2] == [0, 255, 0, 255]).all()
+    with pytest.raises(RenderError, match="built in"):
+        scene.renderer.add_view("lit", "")
+    with pytest.raises(RenderError, match="no such shader file"):
+        scene.renderer.add_view("gone", tmp_path / "gone.frag")
+
+
+# State
+
+
+def driver_state(gl: gl_state.Functions) -> dict[str, Any]:
+    """All that drawing could disturb, asked of the driver."""
+    state: dict[str, Any] = {f"enabled {flag:#x}": bool(gl.glIsEnabled(flag)) for flag in (
+        *gl_state.CAPABILITIES, 0x0C11, 0x0B90, 0x0BF2, 0x8642, 0x809D, 0x8F9D, 0x8C89)}  # fmt: skip
+    words = [name for name in vars(gl_state) if name.isupper() and isinstance(getattr(gl_state, name), int)]
+    for name in ("CULL_FACE_MODE", "FRONT_FACE", "DEPTH_FUNC", "DEPTH_WRITEMASK", "POLYGON_MODE", "BLEND_DST_RGB",
+                 "BLEND_SRC_RGB", "BLEND_DST_ALPHA", "BLEND_SRC_ALPHA", "BLEND_EQUATION_RGB", "BLEND_EQUATION_ALPHA",
+                 "CURRENT_PROGRAM", "VERTEX_ARRAY_BINDING", "ARRAY_BUFFER_BINDING", "UNIFORM_BUFFER_BINDING",
+                 "ACTIVE_TEXTURE", "PATCH_VERTICES", "UNPACK_ALIGNMENT", "PIXEL_UNPACK_BUFFER_BINDING"):  # fmt: skip
+        assert name in words
+        state[name] = gl.integer(getattr(gl_state, name))
+    state["COLOR_WRITEMASK"] = gl.integers(gl_state.COLOR_WRITEMASK, 4)
+    state["viewport"], state["framebuffer"] = gl.integers(gl_state.VIEWPORT, 4), gl.integer(0x8CA6)
+    state["offset"] = gl.number(gl_state.POLYGON_OFFSET_FACTOR), gl.number(gl_state.POLYGON_OFFSET_UNITS)
+    state["line width"] = gl.number(gl_state.LINE_WIDTH)
+    active = state["ACTIVE_TEXTURE"]
+    for unit in range(16):
+        gl.glActiveTexture(gl_state.TEXTURE0 + unit)
+        state[f"unit {unit}"] = gl.integer(gl_state.TEXTURE_BINDING_2D), gl.integer(gl_state.SAMPLER_BINDING)
+    gl.glActiveTexture(active)
+    for binding in range(4):
+        state[f"block {binding}"] = gl_state._uniform_binding(gl, binding)
+    return state
+
+
+def test_the_state_is_left_as_found(ctx: moderngl.Context, ball: Asset) -> None:
+    gl = gl_state.functions()
+    textures = [ctx.texture((2, 2), 4) for _ in range(3)]
+    sampler, block = ctx.sampler(), ctx.buffer(reserve=256)
+    framebuffer = ctx.simple_framebuffer((32, 32), 4)
+    framebuffer.use()
+    with gl_state.saved_state(range(16), range(4), True):
+        for unit, texture in enumerate(textures):
+            texture.use(unit * 2)
+        sampler.use(4)
+        block.bind_to_uniform_block(0, offset=0, size=64)
+        block.bind_to_uniform_block(1)
+        gl.switch(gl_state.BLEND, True)
+        gl.switch(gl_state.CULL_FACE, True)
+        gl.switch(gl_state.DEPTH_TEST, False)
+        gl.glCullFace(gl_state.FRONT)
+        gl.glFrontFace(gl_state.CW)
+        gl.glDepthFunc(0x0207)
+        gl.glDepthMask(0)
+        gl.glColorMask(1, 0, 1, 1)
+        gl.glPolygonOffset(3.0, 4.0)
+        gl.glPixelStorei(gl_state.UNPACK_ALIGNMENT, 8)
+        gl.glActiveTexture(gl_state.TEXTURE0 + 5)
+        before = driver_state(gl)
+        model = Model(ctx, ball)
+        assert driver_state(gl) == before, "Model()"
+        renderer = Renderer(ctx)
+        assert driver_state(gl) == before, "Renderer()"
+        actor = model.actor(clip="bend")
+        for view in VIEWS:
+            renderer.draw([actor], framing(ball.manifest.bind_bounds), view=view, tessellation=2.0)
+            renderer.draw([actor], framing(ball.manifest.bind_bounds), view=view, tessellation="off")
+            assert driver_state(gl) == before, view
+        renderer.lighting = Lighting(environment=Environment.uniform())
+        assert driver_state(gl) == before, "lighting"
+        with pytest.raises(RenderError, match="same point"):
+            renderer.draw([actor], Camera((0, 0, 0), (0, 0, 0)))
+        assert driver_state(gl) == before, "after a refusal"
+        renderer.release()
+        model.release()
+        assert driver_state(gl) == before, "release()"
+        gl.glPixelStorei(gl_state.UNPACK_ALIGNMENT, 4)
+    for thing in (*textures, sampler, block, *framebuffer.color_attachments, framebuffer.depth_attachment, framebuffer):
+        thing.release()
+
+
+# Misuse
+
+
+def test_what_was_released_is_named(ctx: moderngl.Context, ball: Asset) -> None:
+    scene = Scene(ctx, ball)
+    actor = scene.model.actor()
+    scene.model.release()
+    scene.model.release()
+    with pytest.raises(RenderError, match="model ball was released"):
+        scene.picture([actor])
+    with pytest.raises(RenderError, match="model ball was released"):
+        scene.model.actor()
+    scene.renderer.release()
+    scene.renderer.release()
+    with pytest.raises(RenderError, match="renderer was released"):
+        scene.picture([])
+    scene.release()
+
+
+def test_a_released_context_is_named(ctx: moderngl.Context, ball: Asset) -> None:
+    other = moderngl.create_context(standalone=True, backend="egl")
+    model, renderer = Model(other, ball), Renderer(other)
+    actor = model.actor()
+    other.release()
+    ctx.__enter__()
+    with pytest.raises(RenderError, match=r"context of this renderer was released"):
+        renderer.draw([actor], Camera((0, 0, 3)))
+    with pytest.raises(RenderError, match=r"context of this model was released"):
+        Model(other, ball)
+    model.release()
+    renderer.release()
+
+
+def test_a_model_of_another_context_is_named(scene: Scene, ctx: moderngl.Context, ball: Asset) -> None:
+    other = moderngl.create_context(standalone=True, backend="egl")
+    model = Model(other, ball)
+    actor = model.actor()
+    ctx.__enter__()
+    with pytest.raises(RenderError, match="belongs to another context"):
+        scene.picture([actor])
+    other.__enter__()
+    model.release()
+    other.release()
+    ctx.__enter__()
+
+
+@pytest.mark.parametrize(
+    ("how", "message"),
+    [
+        ({"view": "xray"}, "no view 'xray'"),
+        ({"lod": 3}, r"no level of detail 3: auto or 0 to 2"),
+        ({"lod": -1}, "no level of detail -1"),
+        ({"tessellation": 65}, "not between 1 and 64"),
+        ({"tessellation": float("nan")}, "not between 1 and 64"),
+        ({"tessellation": "much"}, "no tessellation 'much'"),
+        ({"camera": Camera((0, 0, 0), (0, 0, 0))}, "same point"),
+        ({"camera": Camera((0, 0, float("nan")))}, "finite"),
+        ({"camera": Camera((0, 0, 1), fovy_deg=200)}, "field of view"),
+        ({"camera": Camera((0, 0, 1), near_m=-1.0)}, "near"),
+        ({"camera": MatrixCamera(np.eye(3), np.eye(4))}, "view matrix must be 4 x 4"),
+        ({"camera": MatrixCamera(np.eye(4) * 2, np.eye(4))}, "scales or shears"),
+    ],
+)
+def test_bad_arguments_are_named(scene: Scene, how: dict[str, Any], message: str) -> None:
+    with pytest.raises(RenderError, match=message):
+        scene.picture([scene.model.actor()], **how)
+
+
+def test_poses_and_transforms_that_are_not_numbers_are_named(scene: Scene) -> None:
+    actor = scene.model.actor()
+    actor.transform[0, 0] = np.nan
+    with pytest.raises(ValueError, match="transform"):
+        scene.picture([actor])
+    with pytest.raises(ValueError, match="nope"):
+        scene.model.actor(clip="nope")
+
+
+def test_the_package_offers_its_names_lazily() -> None:
+    for name in runtime.__all__:
+        assert getattr(runtime, name) is not None
+    with pytest.raises(AttributeError, match="nonsense"):
+        runtime.nonsense  # noqa: B018
+
+
+def test_weights_by_formula_sum_to_one() -> None:
+    assert np.allclose(weights_at(surface_corners(4), 5).sum(axis=1), 1.0)
