@@ -44,7 +44,7 @@ Bools = NDArray[np.bool_]
 
 DEFAULT_TOLERANCE_REL = 0.01  # the paper's, of the diagonal of a component's bounding box
 DEFAULT_DISTORTION = 4.0  # a face may become eight times as long as wide, measured against its shape before
-DEFAULT_GAP_UV = 4.0 / 1024.0  # four texels at the usual size: a bilinear cell on either side, and one mip level
+DEFAULT_GAP_UV = 1.0 / 64.0  # four texels at 256 a side, the least that geometry gets: a bilinear cell on either side
 MOST_ROUNDS = 40  # of halving tolerances
 LAST_ROUNDS = 4  # of them, in which everything near a fault stays, and then everything
 THIN_AREA = 0.05  # of its rest area: a triangle with three fixed corners below gets free ones

@@ -15,6 +15,7 @@ from preprocess.straighten.simplify import joint_points, run_ends
 Bools = NDArray[np.bool_]
 
 LEAST_LIMIT = 1e-3  # of a limit: below, points stay rather than move less
+GAP_STEPS = 16  # down to a thirtieth of the gap asked for
 SEARCH_RINGS = 8  # of faces between a face and the silhouette that spoils it
 
 
@@ -96,13 +97,13 @@ class Apartness:
 def find_apartness(
     chains: Chains, uvs: Floats, uv_charts: NDArray[np.int64], keep_packing: bool, gap_uv: float
 ) -> Apartness:
-    """How far charts are apart now, up to `gap_uv` (halved until it holds); not at all where some overlap already."""
+    """How far charts are apart now, up to `gap_uv`, in steps of a fifth; not at all where some overlap already."""
     whole = np.ones(len(chains.vertices), bool)
     segments = run_segments(chains, joint_points(chains, uvs), whole)
     ends, ids, charts = segments.ends, segments.uv_ids, uv_charts[segments.uv_ids[:, 0]]
     if not keep_packing or find_meeting_segments(ends, ids, charts, True).any():
         return Apartness(uv_charts, False, 0.0)
-    gaps = [gap_uv * 0.5**k for k in range(6)]
+    gaps = [gap_uv * 0.8**k for k in range(GAP_STEPS)]
     held = (gap for gap in gaps if not find_meeting_segments(ends, ids, charts, True, gap).any())
     return Apartness(uv_charts, True, next(held, 0.0))
 
