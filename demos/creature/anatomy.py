@@ -42,8 +42,8 @@ def _tail() -> list[Piece]:
 def _tail_fin() -> list[Piece]:
     side = (1.0, 0.0, 0.0)
     return [
-        Piece("fin", Cone((0, 0.315, -0.935), (0, 0.385, -1.01), 0.038, 0.078, side, 0.26), 0.03),
-        Piece("fin", Cone((0, 0.385, -1.01), (0, 0.50, -1.10), 0.078, 0.014, side, 0.28), 0.02),
+        Piece("fin", Cone((0, 0.315, -0.935), (0, 0.385, -1.01), 0.038, 0.078, side, 0.34), 0.03),
+        Piece("fin", Cone((0, 0.385, -1.01), (0, 0.50, -1.10), 0.078, 0.017, side, 0.36), 0.02),
     ]
 
 
@@ -89,7 +89,7 @@ def _head() -> list[Piece]:
         Piece("muzzle", Ellipsoid((0.042, 0.640, 0.590), (0.026, 0.022, 0.028)), 0.03),
         Piece("nostril", Ellipsoid((0.048, 0.646, 0.622), (0.014, 0.010, 0.014), yaw=25), 0.014, carve=True),
         Piece("head", Cone((0.060, 0.752, 0.480), (0.150, 0.722, 0.405), 0.030, 0.026), 0.045),
-        Piece("lid", Ellipsoid((0.107, 0.687, 0.454), (0.0675, 0.0675, 0.0675)), 0.012),
+        Piece("lid", Ellipsoid((0.1095, 0.6855, 0.4535), (0.0664, 0.0664, 0.0664)), 0.012),
         Piece("eye", Ellipsoid(EYE, (EYE_RADIUS,) * 3), 0.003),
         Piece("horn", Cone((0.062, 0.775, 0.330), (0.085, 0.850, 0.255), 0.034, 0.024), 0.02),
         Piece("horn", Cone((0.085, 0.850, 0.255), (0.096, 0.885, 0.190), 0.024, 0.009), 0.01),
@@ -101,8 +101,8 @@ EAR_THIN: Vec = (0.45, 0.10, 0.90)  # across an ear, towards its inner side
 
 def _ear() -> list[Piece]:
     return [
-        Piece("ear", Cone((0.145, 0.705, 0.310), (0.225, 0.772, 0.255), 0.046, 0.074, EAR_THIN, 0.34), 0.03),
-        Piece("ear", Cone((0.225, 0.772, 0.255), (0.345, 0.855, 0.180), 0.074, 0.020, EAR_THIN, 0.34), 0.02),
+        Piece("ear", Cone((0.145, 0.705, 0.310), (0.225, 0.772, 0.255), 0.046, 0.074, EAR_THIN, 0.40), 0.03),
+        Piece("ear", Cone((0.225, 0.772, 0.255), (0.345, 0.855, 0.180), 0.074, 0.022, EAR_THIN, 0.42), 0.02),
         Piece("ear", Ellipsoid((0.246, 0.785, 0.298), (0.100, 0.043, 0.034), roll=35, yaw=28), 0.03, carve=True),
     ]
 
@@ -115,7 +115,7 @@ def _wing() -> list[Piece]:
     pieces = []
     for along_lead, along_trail, size in ((1.0, 0.0, 0.036), (0.66, 0.48, 0.046), (0.22, 0.86, 0.042)):
         tip = root + along_lead * lead + along_trail * trail
-        pieces.append(Piece("wing", Cone(_vec(root), _vec(tip), 0.050, size, _vec(thin), 0.30), 0.03))
+        pieces.append(Piece("wing", Cone(_vec(root), _vec(tip), 0.050, size, _vec(thin), 0.37), 0.03))
     wrist = root + 0.55 * lead
     pieces.append(Piece("wing", Cone(_vec(root), _vec(wrist), 0.030, 0.019), 0.03))
     pieces.append(Piece("wing", Cone(_vec(wrist), _vec(root + 1.02 * lead), 0.019, 0.013), 0.02))
@@ -145,7 +145,7 @@ def _crest() -> list[Piece]:
     pieces = []
     for y, z, size in rows:
         pieces.append(
-            Piece("crest", Cone((0, y, z), (0, y + 0.9 * size, z - 0.9 * size), size, 0.010, side, 0.32), 0.018)
+            Piece("crest", Cone((0, y, z), (0, y + 0.9 * size, z - 0.9 * size), size, 0.012, side, 0.40), 0.018)
         )
     return pieces
 
@@ -170,10 +170,10 @@ def build_body() -> Field:
 
 # Wanted edge length of the triangles by region, metres.
 _EDGE_M = {
-    "trunk": 0.0215,
+    "trunk": 0.0225,
     "neck": 0.0190,
     "tail": 0.0165,
-    "fin": 0.0135,
+    "fin": 0.0120,
     "arm": 0.0150,
     "leg": 0.0155,
     "claw": 0.0085,
@@ -185,9 +185,9 @@ _EDGE_M = {
     "eye": 0.0095,
     "lid": 0.0095,
     "horn": 0.0115,
-    "ear": 0.0135,
-    "wing": 0.0135,
-    "crest": 0.0110,
+    "ear": 0.0110,
+    "wing": 0.0120,
+    "crest": 0.0100,
 }
 
 

@@ -43,7 +43,7 @@ def build_mesh(field: Field) -> BodyMesh:
     points, faces, _ = mirror_half(points, faces)
     log.info("remeshed: %d vertices, %d faces", len(points), len(faces))
     charts, cut = cut_charts(field, points, faces)
-    points = smooth_seams(field, points, faces, cut)
+    points, faces, cut = smooth_seams(field, points, faces, cut)
     face_uvs, uv_to_vertex = split_at_cuts(faces, cut)
     flat = flatten_charts(points, face_uvs, uv_to_vertex, charts)
     is_head = assign_parts(field, points[faces].mean(axis=1)) == HEAD
@@ -54,7 +54,7 @@ def build_mesh(field: Field) -> BodyMesh:
     normals = field.gradient(points)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     tangents = compute_tangents(points, normals, uvs, face_uvs, uv_to_vertex)
-    return BodyMesh(points, normals, faces, uvs, face_uvs, uv_to_vertex, tangents)
+    return BodyMesh(points, normals, faces, uvs, face_uvs, uv_to_vertex, tangents, charts)
 
 
 def ambient_occlusion(field: Field, mesh: BodyMesh) -> Floats:

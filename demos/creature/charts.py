@@ -71,9 +71,13 @@ def assign_parts(field: Field, points: Floats) -> Ints:
     return parts
 
 
-def _slit_path(points: Floats, edges: Ints, inside: NDArray[np.bool_], border: NDArray[np.bool_], line: Floats) -> Ints:
-    """Cheapest vertex path along a guiding polyline, from the chart's border into its inside."""
-    usable = edges[inside[edges].all(axis=1)]
+def _slit_path(
+    points: Floats, edges: Ints, inside: NDArray[np.bool_], border: NDArray[np.bool_], line: Floats
+) -> Ints:
+    """Cheapest vertex path along a guiding polyline, from the chart's border to the line's end inside."""
+    inner = inside & ~border
+    both = np.concatenate([edges, edges[:, ::-1]])
+    usable = both[inner[both[:, 0]] & inside[both[:, 1]]]  # a path that reaches the border ends there
     middle = points[usable].mean(axis=1)
     off = np.full(len(usable), np.inf)
     for start, end in itertools.pairwise(line):
@@ -82,17 +86,16 @@ def _slit_path(points: Floats, edges: Ints, inside: NDArray[np.bool_], border: N
         off = np.minimum(off, np.linalg.norm(middle - start - t[:, None] * axis, axis=1))
     length = np.linalg.norm(points[usable[:, 0]] - points[usable[:, 1]], axis=1)
     cost = length * (1.0 + (off / 0.02) ** 2)
-    count = len(points)
-    graph = sparse.coo_matrix((cost, (usable[:, 0], usable[:, 1])), shape=(count, count)).tocsr()
-    first, last = (
-        candidates[np.linalg.norm(points[candidates] - p, axis=1).argmin()]
-        for candidates, p in ((np.flatnonzero(inside & border), line[0]), (np.flatnonzero(inside), line[-1]))
-    )
-    before = dijkstra(graph, directed=False, indices=first, return_predecessors=True)[1]
-    path = [int(last)]
-    while path[-1] != first:
+    graph = sparse.coo_matrix((cost, (usable[:, 0], usable[:, 1])), shape=(len(points), len(points))).tocsr()
+    candidates = np.flatnonzero(inner)
+    last = int(candidates[np.linalg.norm(points[candidates] - line[-1], axis=1).argmin()])
+    reach, before = dijkstra(graph, indices=last, return_predecessors=True)
+    starts = np.flatnonzero(inside & border & np.isfinite(reach))
+    away = np.linalg.norm(points[starts] - line[0], axis=1)
+    path = [int(starts[(reach[starts] + 20.0 * away).argmin()])]
+    while path[-1] != last:
         path.append(int(before[path[-1]]))
-    return np.array(path[::-1])
+    return np.array(path)
 
 
 def cut_charts(field: Field, points: Floats, faces: Ints) -> tuple[Ints, NDArray[np.bool_]]:
@@ -114,10 +117,9 @@ def cut_charts(field: Field, points: Floats, faces: Ints) -> tuple[Ints, NDArray
     """
     centres = points[faces].mean(axis=1)
     parts = assign_parts(field, centres)
-    parts = _smooth_parts(faces, parts)
     right = (centres[:, 0] < 0) & np.isin(parts, _MIRRORED)
     labels = parts * 2 + right
-    labels = _drop_islands(faces, labels)
+    labels = _drop_islands(faces, _smooth_labels(faces, labels, centres[:, 0] < 0))
     edges, edge_of_half, _ = unique_edges(faces)
     cut = _borders(edge_of_half, labels, len(edges))
     cut |= _middle_slits(points, edges)
@@ -155,16 +157,19 @@ def _borders(edge_of_half: Ints, labels: Ints, num_edges: int) -> NDArray[np.boo
     return low != high
 
 
-def _smooth_parts(faces: Ints, parts: Ints, rounds: int = 3) -> Ints:
-    """Each face takes the part of most of its neighbours where all but one of them disagree with it."""
+def _smooth_labels(faces: Ints, labels: Ints, right: NDArray[np.bool_], rounds: int = 6) -> Ints:
+    """A face takes the label of most of its neighbours where all but one disagree, on its own side of the body."""
     _, edge_of_half, _ = unique_edges(faces)
     neighbours = _face_neighbours(edge_of_half)
+    label_side = np.array([label % 2 if label // 2 in _MIRRORED else -1 for label in range(14)])
+    other_side = (label_side >= 0) & (label_side != right[:, None])
     for _ in range(rounds):
-        around = parts[neighbours]
-        agree = (around == parts[:, None]).sum(axis=1)
-        counts = np.stack([(around == part).sum(axis=1) for part in range(7)], axis=1)
-        parts = np.where((agree <= 1) & (counts.max(axis=1) >= 2), counts.argmax(axis=1), parts)
-    return parts
+        around = labels[neighbours]
+        agree = (around == labels[:, None]).sum(axis=1)
+        counts = np.stack([(around == label).sum(axis=1) for label in range(14)], axis=1)
+        counts[other_side] = 0
+        labels = np.where((agree <= 1) & (counts.max(axis=1) >= 2), counts.argmax(axis=1), labels)
+    return labels
 
 
 def _face_neighbours(edge_of_half: Ints) -> Ints:

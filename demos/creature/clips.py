@@ -119,12 +119,12 @@ def _greet(joints: Joints) -> Motion:
     hold = _pulse(motion, 0.20, 0.32, 0.68, 0.82)
     wave = np.sin(2.0 * np.pi * 5.0 * (motion.phase - 0.26)) * hold
     bob = np.sin(2.0 * np.pi * 4.0 * (motion.phase - 0.2)) * hold
-    motion.shift("hips", y=-0.025 * crouch - 0.075 * up + 0.006 * bob, z=-0.02 * crouch - 0.03 * up)
-    motion.rotate("hips", x=5.0 * crouch - 46.0 * up + 1.5 * bob, z=2.0 * wave)
+    motion.shift("hips", y=-0.025 * crouch + 0.006 * bob, z=-0.02 * crouch - 0.03 * up)
+    motion.rotate("hips", x=5.0 * crouch - 40.0 * up + 1.5 * bob, z=2.0 * wave)
     motion.rotate("spine", x=2.0 * crouch - 8.0 * up)
     motion.rotate("chest", x=4.0 * crouch - 6.0 * up, z=-4.0 * hold)
-    motion.rotate("neck", x=-6.0 * crouch + 26.0 * up)
-    motion.rotate("head", x=-10.0 * crouch + 25.0 * up - 4.0 * bob, y=10.0 * hold, z=10.0 * hold + 3.0 * wave)
+    motion.rotate("neck", x=-6.0 * crouch + 21.0 * up)
+    motion.rotate("head", x=-10.0 * crouch + 24.0 * up - 4.0 * bob, y=10.0 * hold, z=10.0 * hold + 3.0 * wave)
     motion.rotate("jaw", x=16.0 * hold + 3.0 * bob)
     motion.rotate("tail_1", x=24.0 * up)
     motion.rotate("tail_2", x=16.0 * up)

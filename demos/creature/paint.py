@@ -154,6 +154,7 @@ def paint(field: Field, mesh: BodyMesh, occlusion: Floats) -> Textures:
     mouth = _mouth_line(canvas)
     color = _mix(color, _rgb("5a2426"), 0.9 * mouth)
 
+    color *= _brush(mesh, texels)[:, None]
     eye = _step(0.45, 0.55, canvas.share("eye"))
     color = _mix(color, _eye_color(canvas), eye)
 
@@ -173,6 +174,14 @@ def paint(field: Field, mesh: BodyMesh, occlusion: Floats) -> Textures:
     )
 
 
+def _brush(mesh: BodyMesh, texels: Texels) -> Floats:
+    """Mottling laid on chart by chart, as by a painter who sees only the flat picture: it does not meet at seams."""
+    chart = mesh.charts[texels.face].astype(float)
+    place = np.stack([texels.x * (22.0 / texels.size), texels.y * (22.0 / texels.size), 7.31 * chart], axis=1)
+    tone = 0.02 * np.sin(12.9898 * chart)
+    return 1.0 + tone + 0.17 * (fractal_noise(place, 2, 31) - 0.5)
+
+
 def _tipness(canvas: _Canvas) -> Floats:
     """0 at the root and 1 at the tip of ears, wings, fin and crest."""
     f = canvas.folded
@@ -187,7 +196,13 @@ def _tipness(canvas: _Canvas) -> Floats:
 def _mouth_line(canvas: _Canvas) -> Floats:
     """A smile: dark along a curve around the muzzle."""
     f = canvas.folded
-    curve = 0.570 + 0.034 * _step(0.060, 0.125, f[:, 0]) - 0.012 * _step(0.0, 0.045, f[:, 0]) + 0.012
+    curve = (
+        0.570
+        + 0.034 * _step(0.060, 0.125, f[:, 0])
+        - 0.012 * _step(0.0, 0.045, f[:, 0])
+        + 0.012
+        + 0.012 * _step(0.095, 0.135, f[:, 0])
+    )
     width = 0.0042 - 0.0018 * _step(0.09, 0.13, f[:, 0])
     near = np.abs(f[:, 1] - curve)
     front = _step(0.440, 0.462, f[:, 2])

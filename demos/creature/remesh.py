@@ -15,6 +15,7 @@ from demos.creature.field import Field
 from demos.creature.surface import Floats, Ints, corner_cotangents, face_normals, unique_edges
 
 _COLLAPSE_BELOW = 0.86  # times the wanted length
+_NO_EDGES = np.zeros((0, 2), np.int64)
 _MIN_TURN = 0.35  # cosine: no face turns further than this in one collapse
 
 
@@ -101,8 +102,11 @@ def _collapse_round(points: Floats, faces: Ints, sizes: Floats) -> tuple[Floats,
     return points[used], compact.reshape(-1, 3), sizes[used], len(a)
 
 
-def _flip_round(points: Floats, faces: Ints) -> tuple[Ints, int]:
-    """Flip interior edges whose opposite angles sum to more than π, where the surface is nearly flat."""
+def _flip_round(points: Floats, faces: Ints, locked: Ints) -> Ints:
+    """Flip inner edges whose opposite angles sum to more than π, where the surface is nearly flat.
+
+    Edges in `locked`, (L, 2) with the smaller vertex first, stay. Both new faces take the numbers of the old ones.
+    """
     edges, edge_of_half, count = unique_edges(faces)
     order = np.argsort(edge_of_half, kind="stable")
     starts = np.searchsorted(edge_of_half[order], np.arange(len(edges)))
@@ -112,7 +116,11 @@ def _flip_round(points: Floats, faces: Ints) -> tuple[Ints, int]:
     excess = cotangents[left] + cotangents[right]
     normals, _ = face_normals(points, faces)
     flat = (normals[left // 3] * normals[right // 3]).sum(axis=1) > 0.6
-    pick = np.flatnonzero((excess < -1e-3) & flat)
+    # A face with two locked edges is an ear: a smooth line through its tip would leave it without area.
+    held = np.isin(edges[:, 0] * len(points) + edges[:, 1], locked[:, 0] * len(points) + locked[:, 1])
+    ear = held[edge_of_half].reshape(-1, 3).sum(axis=1) == 2
+    excess = np.where(ear[left // 3] | ear[right // 3], np.minimum(excess, -1e3), excess)
+    pick = np.flatnonzero((excess < -1e-3) & flat & ~held[inner])
     left, right, excess = left[pick], right[pick], excess[pick]
 
     def corner(half: Ints, step: int) -> Ints:
@@ -141,7 +149,7 @@ def _flip_round(points: Floats, faces: Ints) -> tuple[Ints, int]:
     faces = faces.copy()
     faces[left // 3] = np.stack([c, d, b], axis=1)
     faces[right // 3] = np.stack([c, a, d], axis=1)
-    return faces, int(chosen.sum())
+    return faces
 
 
 def relax(field: Field, points: Floats, faces: Ints, fixed: NDArray[np.bool_], chains: Ints, rounds: int) -> Floats:
@@ -213,20 +221,30 @@ def remesh(field: Field, points: Floats, faces: Ints, sizes: Floats) -> tuple[Fl
             if done < 8:
                 break
         for _ in range(3):
-            faces, _ = _flip_round(points, faces)
+            faces = _flip_round(points, faces, _NO_EDGES)
         edges, _, count = unique_edges(faces)
         borders = edges[count == 1]
         points = relax(field, points, faces, np.zeros(len(points), bool), borders, 2 if stage < 4 else 4)
     for _ in range(3):
-        faces, _ = _flip_round(points, faces)
+        faces = _flip_round(points, faces, _NO_EDGES)
     middle = points[:, 0] == 0.0
     points = field.project(points)
     points[middle, 0] = 0.0
     return points, faces
 
 
-def smooth_seams(field: Field, points: Floats, faces: Ints, cut: NDArray[np.bool_], rounds: int = 14) -> Floats:
-    """Turn the zigzag of cut edges into smooth curves on the skin, the other vertices following.
+def _bent_faces(field: Field, points: Floats, faces: Ints) -> NDArray[np.bool_]:
+    """Faces that look away from the skin, or have an angle under four degrees."""
+    normals, _ = face_normals(points, faces)
+    outwards = field.gradient(points[faces].mean(axis=1))
+    flat = corner_cotangents(points, faces).max(axis=1) > 14.0
+    return ((normals * outwards).sum(axis=1) < 0.2) | flat
+
+
+def smooth_seams(
+    field: Field, points: Floats, faces: Ints, cut: NDArray[np.bool_], rounds: int = 6
+) -> tuple[Floats, Ints, NDArray[np.bool_]]:
+    """Turn the zigzag of cut edges into smooth curves on the skin, the other vertices and edges following.
 
     Parameters
     ----------
@@ -236,8 +254,28 @@ def smooth_seams(field: Field, points: Floats, faces: Ints, cut: NDArray[np.bool
     cut : (E,) bool
         Of the edges of `unique_edges(faces)`. Where other than two of them meet, the vertex stays.
     rounds : int
+
+    Returns
+    -------
+    points, faces, cut
+        Edges that are not cut may have been flipped; every face stays on its side of the cuts.
     """
-    edges, _, _ = unique_edges(faces)
-    seams = edges[cut]
+    seams = unique_edges(faces)[0][cut]
     fixed = ~np.isin(np.bincount(seams.reshape(-1), minlength=len(points)), (0, 2))
-    return field.project(relax(field, points, faces, fixed, seams, rounds))
+    for _ in range(3):
+        faces = _flip_round(points, faces, seams)
+    for _ in range(rounds):
+        points = relax(field, points, faces, fixed, seams, 3)
+        faces = _flip_round(points, faces, seams)
+    points = field.project(points)
+    for _ in range(8):  # around a face that was pressed flat or turned over, the line gives way
+        bent = _bent_faces(field, points, faces)
+        if not bent.any():
+            break
+        held = np.ones(len(points), bool)
+        held[faces[bent]] = False
+        points = relax(field, points, faces, held, _NO_EDGES, 3)
+        faces = _flip_round(points, faces, seams)
+    edges = unique_edges(faces)[0]
+    keys = edges[:, 0] * len(points) + edges[:, 1]
+    return points, faces, np.isin(keys, seams[:, 0] * len(points) + seams[:, 1])

@@ -31,6 +31,8 @@ class BodyMesh:
     uv_to_vertex : (T,) int64
     tangents : (T, 4) float64
         glTF's: xyz along u, w the sign of the bitangent.
+    charts : (F,) int64
+        Numbered from 0.
     """
 
     points: Floats
@@ -40,6 +42,7 @@ class BodyMesh:
     face_uvs: Ints
     uv_to_vertex: Ints
     tangents: Floats
+    charts: Ints
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,7 @@ class Texels:
 
 
 def compute_tangents(points: Floats, normals: Floats, uvs: Floats, face_uvs: Ints, uv_to_vertex: Ints) -> Floats:
-    """Tangents of texture vertices, (T, 4): angle-weighted means of the faces' u directions, made normal to `normals`."""
+    """Tangents of texture vertices, (T, 4): angle-weighted means of the faces' u directions, normal to `normals`."""
     corners = points[uv_to_vertex[face_uvs]]
     flat = uvs[face_uvs]
     edge1, edge2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]

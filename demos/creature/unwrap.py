@@ -117,6 +117,30 @@ def _make_rigid(points: Floats, faces: Ints, uvs: Floats, rounds: int) -> Floats
     return uvs
 
 
+def _turn_back(uvs: Floats, faces: Ints, num_faces: int, rounds: int = 40) -> Floats:
+    """Pull the corners of turned-over faces (of the first `num_faces`) towards the mean of their neighbours."""
+    edges, _, count = unique_edges(faces)
+    border = np.zeros(len(uvs), bool)
+    border[edges[count == 1]] = True
+    both = np.concatenate([edges, edges[:, ::-1]])
+    adjacency = sparse.coo_matrix((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(len(uvs), len(uvs))).tocsr()
+    degree = np.asarray(adjacency.sum(axis=1))
+    for _ in range(rounds):
+        turned = _double_areas(uvs, faces[:num_faces]) <= 0
+        if not turned.any():
+            break
+        moving = np.unique(faces[:num_faces][turned])
+        moving = moving[~border[moving]]
+        uvs = uvs.copy()
+        uvs[moving] = 0.5 * uvs[moving] + 0.5 * (adjacency[moving] @ uvs) / degree[moving]
+    return uvs
+
+
+def _double_areas(uvs: Floats, faces: Ints) -> Floats:
+    a, b, c = (uvs[faces[:, k]] for k in range(3))
+    return (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+
+
 def _fill_holes(points: Floats, faces: Ints) -> tuple[Floats, Ints]:
     """Close every border loop but the longest with a fan around its centre, so that holes keep their size when flat."""
     _edges, edge_of_half, count = unique_edges(faces)
@@ -142,9 +166,7 @@ def _fill_holes(points: Floats, faces: Ints) -> tuple[Floats, Ints]:
 
 def _is_one_to_one(uvs: Floats, faces: Ints, resolution: int = 384) -> bool:
     """No triangle flipped, and no pixel centre covered twice."""
-    a, b, c = (uvs[faces[:, k]] for k in range(3))
-    double = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-    if (double <= 0).any():
+    if (_double_areas(uvs, faces) <= 0).any():
         return False
     from demos.creature.raster import cover_texels
 
@@ -181,7 +203,8 @@ def flatten_charts(points: Floats, face_uvs: Ints, uv_to_vertex: Ints, charts: I
         conformal = _conformal_map(filled, filled_faces)
         flat = None
         for rounds in (_RIGID_ROUNDS, 4, 1, 0):
-            candidate = _make_rigid(filled, filled_faces, conformal, rounds)[: len(used)]
+            candidate = _make_rigid(filled, filled_faces, conformal, rounds)
+            candidate = _turn_back(candidate, filled_faces, len(faces))[: len(used)]
             if _is_one_to_one(candidate, faces):
                 flat = candidate
                 break

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import io
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pygltflib as gltf
 from numpy.typing import NDArray
-from PIL import Image
 
 from demos.creature.motion import Motion, to_quaternions
 from demos.creature.paint import Textures
 from demos.creature.skeleton import Joints
 from demos.creature.texels import BodyMesh
+from preprocess.images import Image, write_image
 
 _ARRAY, _ELEMENTS = gltf.ARRAY_BUFFER, gltf.ELEMENT_ARRAY_BUFFER
 
@@ -117,9 +117,7 @@ def _add_material(document: gltf.GLTF2, binary: _Binary, textures: Textures) -> 
         )
     )
     for name, texels in (("base_color", textures.base_color), ("orm", textures.orm), ("normal", textures.normal)):
-        encoded = io.BytesIO()
-        Image.fromarray(texels).save(encoded, "PNG", compress_level=6)
-        view = binary.add_view(encoded.getvalue())
+        view = binary.add_view(_encode_png(texels))
         document.images.append(gltf.Image(name=name, mimeType="image/png", bufferView=view))
         document.textures.append(gltf.Texture(sampler=0, source=len(document.images) - 1))
     document.materials.append(
@@ -134,6 +132,13 @@ def _add_material(document: gltf.GLTF2, binary: _Binary, textures: Textures) -> 
             alphaCutoff=None,
         )
     )
+
+
+def _encode_png(texels: NDArray[np.uint8]) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "texels.png"
+        write_image(path, Image(texels / 255.0))
+        return path.read_bytes()
 
 
 def _add_mesh(

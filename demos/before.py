@@ -1,0 +1,97 @@
+"""A built character as it would be without its seams erased: every texture as a plain bake leaves it.
+
+The textures are baked again from the source file into the same atlas; levels of detail, skeleton and clips are the
+built character's. Drawn with `WITHOUT_OWNERS`, each side of a seam fetches its own texels, and what erasure and
+ownership are for can be seen.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from demos.errors import DemoError
+from preprocess.atlas import Atlas, build_atlas
+from preprocess.bake import bake_positions, bake_weights, cover_atlas
+from preprocess.errors import InputError
+from preprocess.gltf import Character, load_character
+from preprocess.gltf.tangents import corner_tangents
+from preprocess.materials import bake_materials, bake_normals
+from preprocess.pipeline import GUTTER_PX, GUTTER_SIZE_PX
+from preprocess.settings import Settings, floor_faces
+from preprocess.weights import pack_weights
+from runtime.asset import Asset, TextureData
+
+
+def find_source(asset: Asset) -> Path | None:
+    """The file that a character was built from, if it still lies beside its folder."""
+    name = asset.manifest.json.get("source", {}).get("file")
+    path = asset.path.parent / str(name)
+    return path if name and path.is_file() else None
+
+
+def _box_mips(texels: NDArray[np.float64], steps: int, dtype: type[np.unsignedinteger]) -> TextureData:
+    """Rounded levels by averaging two by two, down to one texel."""
+    levels = [texels]
+    while min(levels[-1].shape[:2]) > 1:
+        fine = levels[-1]
+        levels.append(0.25 * (fine[::2, ::2] + fine[1::2, ::2] + fine[::2, 1::2] + fine[1::2, 1::2]))
+    return TextureData("", tuple(np.rint(np.clip(level, 0.0, 1.0) * steps).astype(dtype) for level in levels))
+
+
+def _default_atlas(character: Character) -> Atlas:
+    settings = Settings()
+    return build_atlas(
+        character.mesh,
+        mode=settings.atlas,
+        floor=floor_faces(character.mesh.num_faces, settings.floor_rel),
+        size_px=GUTTER_SIZE_PX,
+        gutter_px=GUTTER_PX,
+        straighten_rel=settings.straighten_rel,
+    )
+
+
+def without_erasure(asset: Asset, source: Path) -> Asset:
+    """The same character with textures as baked.
+
+    Parameters
+    ----------
+    asset : Asset
+        Built with default settings from `source`.
+    source : Path
+
+    Raises
+    ------
+    DemoError
+        If the source cannot be read or is not the one.
+    """
+    try:
+        character = load_character(source)
+    except InputError as error:
+        raise DemoError(str(error)) from None
+    atlas = _default_atlas(character)
+    mesh = atlas.mesh
+    if len(asset.lods[0].triangles) != mesh.num_faces:
+        raise DemoError(f"{source.name} is not what {asset.path} was built from: build it again")
+    sizes = {name: texture.size for name, texture in asset.textures.items()}
+    baked = {name: asset.textures[name] for name in asset.textures}
+    positions = bake_positions(mesh, sizes["position"])
+    baked["position"] = TextureData("position", (positions.astype(np.float32),))
+    packed = pack_weights(bake_weights(mesh, asset.num_joints, asset.weight_size))
+    baked["weights"] = TextureData("weights", (packed.stack,))
+    coverage = cover_atlas(mesh, *sizes["normal"])
+    texcoord = next((m.normal.texcoord for m in character.materials if m.normal is not None), None)
+    tangents = None if texcoord is None else corner_tangents(mesh, texcoord)
+    normals = bake_normals(character, mesh, tangents, coverage)
+    baked["normal"] = dataclasses.replace(_box_mips(0.5 * normals + 0.5, 65535, np.uint16), name="normal")
+    side = sizes["base_color"][0]
+    for texture in bake_materials(
+        character, mesh, atlas.resampled, side, lambda width, height: cover_atlas(mesh, width, height)
+    ):
+        if texture.name in baked:
+            plain = _box_mips(texture.texels, 255, np.uint8)
+            baked[texture.name] = dataclasses.replace(plain, name=texture.name)
+    return dataclasses.replace(asset, textures=baked)

@@ -1,0 +1,217 @@
+"""Before and after, and the levels of detail side by side.
+
+    python -m demos.compare human.seamless                                      a window
+    python -m demos.compare human.seamless --headless --out sheet.png           one picture
+    python -m demos.compare human.seamless --source human.glb --seam 2 ...      before and after at another seam
+
+Above: a seam from close by as a plain bake leaves it, and erased and owned. The source file is looked for beside the
+folder; without it only the levels are shown. Below: every level of detail, lit and as a wireframe.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from demos.before import find_source, without_erasure
+from demos.errors import DemoError
+from demos.headless import create_context, write_png
+from demos.options import Options, Parser, add_arguments, options_of, run
+from demos.pictures import Pixels, Studio, label, side_by_side
+from demos.viewer import choose_camera, find_folder, make_actor
+from runtime.actor import Actor
+from runtime.asset import Asset, load
+from runtime.camera import Camera
+from runtime.gpu_asset import Model
+from runtime.renderer import Renderer
+
+CLOSE_REL = 0.055  # half height of a close-up, of the bounding diagonal
+
+
+def worst_seams(asset: Asset, before: Asset, count: int) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Places on the skin whose seams are worst in colour and normal before erasure: points and normals at rest.
+
+    Places lie at least two close-ups apart and show the seam from outside.
+    """
+    mesh = asset.lods[0]
+    uvs, owners = mesh.uvs, mesh.owner_uvs
+    split = np.flatnonzero((uvs != owners).any(axis=1))
+    if not len(split):
+        return []
+    color = before.textures["base_color"].levels[0][..., :3] / 255.0
+    jump = np.abs(_sample(color, uvs[split]) - _sample(color, owners[split])).max(axis=1)
+    normal = asset.textures["normal"].levels[0]
+    flat = normal.astype(np.float64) / (65535.0 if normal.dtype == np.uint16 else 1.0) * 2.0 - 1.0
+    towards = _sample(flat, owners[split])
+    points = _sample(asset.textures["position"].levels[0].astype(np.float64), owners[split])
+    apart = 4.0 * CLOSE_REL * float(np.linalg.norm(np.ptp(asset.manifest.bind_bounds, axis=0)))
+    places: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
+    for index in np.argsort(-jump, kind="stable"):
+        if all(np.linalg.norm(points[index] - point) > apart for point, _ in places):
+            places.append((points[index], towards[index] / max(float(np.linalg.norm(towards[index])), 1e-9)))
+        if len(places) == count:
+            break
+    return places
+
+
+def _sample(texels: NDArray[np.float64], uvs: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Nearest texels."""
+    height, width = texels.shape[:2]
+    x = np.clip((uvs[:, 0] * width).astype(int), 0, width - 1)
+    y = np.clip((uvs[:, 1] * height).astype(int), 0, height - 1)
+    return texels[y, x]
+
+
+def close_up(asset: Asset, point: NDArray[np.float64], normal: NDArray[np.float64]) -> Camera:
+    """A camera in front of a point of the skin."""
+    distance = 4.5 * CLOSE_REL * float(np.linalg.norm(np.ptp(asset.manifest.bind_bounds, axis=0)))
+    eye = point + normal * distance
+    up = (0.0, 1.0, 0.0) if abs(normal[1]) < 0.9 else (0.0, 0.0, 1.0)
+    return Camera(tuple(eye), tuple(point), up=up, fovy_deg=25.0)  # type: ignore[arg-type]
+
+
+class Comparison:
+    """A character with and without its seams erased, in one context."""
+
+    def __init__(self, ctx: moderngl.Context, asset: Asset, source: Path | None) -> None:
+        self.asset = asset
+        self.after = Model(ctx, asset)
+        self.studio = Studio(ctx)
+        self.before_asset = None if source is None else without_erasure(asset, source)
+        self.before: Model | None = None
+        if self.before_asset is not None:
+            self.before = Model(ctx, self.before_asset, position_format="float32")
+            self.plain = Studio(ctx, Renderer(ctx, shader_defines={"WITHOUT_OWNERS": 1}))
+
+    def seam_pair(self, camera: Camera, size: tuple[int, int], view: str = "lit") -> tuple[Pixels, Pixels]:
+        """The same close-up before and after."""
+        assert self.before is not None
+        before = self.plain.picture([self.before.actor()], camera, size, view=view, lod=0)
+        after = self.studio.picture([self.after.actor()], camera, size, view=view, lod=0)
+        return before, after
+
+    def levels(self, actor: Actor, camera: Camera, size: tuple[int, int]) -> list[list[Pixels]]:
+        """All levels of detail, lit above and as wireframes below, with their numbers of faces."""
+        lit, wires = [], []
+        floor = self.asset.manifest.bind_bounds
+        for level, mesh in enumerate(self.asset.lods):
+            faces = f"{len(mesh.triangles):,} faces"
+            text = faces if level == 0 else f"{faces}, ±{1e3 * mesh.error_m:.1f} mm"
+            lit.append(self.studio.picture([actor], camera, size, floor=floor, lod=level))
+            wires.append(label(self.studio.picture([actor], camera, size, view="wireframe", lod=level), text, size_px=18))
+        return [lit, wires]
+
+
+def draw_sheet(options: Options, source: Path | None, seam: int) -> None:
+    """One picture with everything."""
+    asset = load(find_folder(options))
+    ctx = create_context()
+    try:
+        comparison = Comparison(ctx, asset, source or find_source(asset))
+        width, height = options.size
+        rows: list[list[Pixels]] = []
+        if comparison.before_asset is not None:
+            places = worst_seams(asset, comparison.before_asset, seam + 1)
+            if len(places) <= seam:
+                raise DemoError(f"{asset.name} has {len(places)} places to show, counted from 0: choose another --seam")
+            camera = close_up(asset, *places[seam])
+            before, after = comparison.seam_pair(camera, (width // 2 - 4, height // 2))
+            rows.append([label(before, "as baked"), label(after, "seams erased")])
+        panel = width // len(asset.lods) - 8
+        below = (height - height // 2 - 16) // 2 if rows else height // 2 - 8
+        actor = make_actor(comparison.after, options)
+        camera = choose_camera(comparison.after, options)
+        rows += comparison.levels(actor, camera, (max(panel, 16), max(below, 16)))
+        assert options.out is not None
+        write_png(options.out, side_by_side(rows))
+    finally:
+        ctx.release()
+
+
+class _SplitView:
+    """The window: before and after share the left half, the levels of detail the right one."""
+
+    def __init__(self, window: Any, options: Options, source: Path | None) -> None:
+        from demos.orbit import Orbit
+
+        asset = load(find_folder(options))
+        self.window = window
+        self.comparison = Comparison(window.ctx, asset, source or find_source(asset))
+        self.orbit = Orbit(choose_camera(self.comparison.after, options))
+        self.actor = make_actor(self.comparison.after, options)
+        window.on_drag, window.on_scroll = self._drag, lambda steps: self.orbit.zoom(steps)
+
+    def _drag(self, dx_px: float, dy_px: float, move: bool) -> None:
+        if move:
+            self.orbit.move(dx_px, dy_px, self.window.size[1])
+        else:
+            self.orbit.turn(dx_px, dy_px)
+
+    def frame(self, dt_s: float) -> None:
+        """Draw all panels into the window."""
+        self.actor.update(dt_s)
+        target = self.window.framebuffer
+        target.use()
+        target.clear(0.95, 0.95, 0.96, 1.0, depth=1.0)
+        width, height = self.window.size
+        camera, comparison = self.orbit.camera(), self.comparison
+        panels: list[tuple[Any, Actor, int]] = []
+        if comparison.before is not None:
+            panels.append((comparison.plain.renderer, comparison.before.actor(), 0))
+        panels += [(comparison.studio.renderer, self.actor, level) for level in range(len(comparison.asset.lods))]
+        columns = int(np.ceil(np.sqrt(len(panels))))
+        rows = -(-len(panels) // columns)
+        for index, (renderer, actor, level) in enumerate(panels):
+            column, row = index % columns, index // columns
+            target.viewport = (
+                column * width // columns, height - (row + 1) * height // rows, width // columns, height // rows
+            )  # fmt: skip
+            renderer.draw([actor], camera, lod=level, tessellation="off")
+        target.viewport = (0, 0, width, height)
+
+
+def show_window(options: Options, source: Path | None) -> None:
+    """Run the window until it is closed."""
+    import time
+
+    from demos.window import Window
+
+    with Window("seamskin: before and after, levels of detail", options.size) as window:
+        panels = _SplitView(window, options, source)
+        last = time.perf_counter()
+        while window.next_frame():
+            now = time.perf_counter()
+            panels.frame(now - last)
+            last = now
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry of `python -m demos.compare`."""
+
+    def work() -> None:
+        parser = Parser("python -m demos.compare", description="Before and after, levels of detail side by side.")
+        add_arguments(parser)
+        parser.add_argument("--source", type=Path, metavar="MODEL", help="the file that DIR was built from")
+        parser.add_argument("--seam", type=int, default=0, metavar="N", help="which seam to look at, 0 the worst")
+        parsed = parser.parse_args(arguments)
+        options = options_of(parsed)
+        if parsed.seam < 0:
+            raise DemoError(f"--seam counts from 0, not {parsed.seam}")
+        if parsed.source is not None and not parsed.source.is_file():
+            raise DemoError(f"{parsed.source}: no such file")
+        if options.headless:
+            draw_sheet(options, parsed.source, parsed.seam)
+        else:
+            show_window(options, parsed.source)
+
+    return run("compare", work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

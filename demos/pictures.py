@@ -1,0 +1,102 @@
+"""Pictures made of several: drawn one by one in a studio, labelled, and set side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import moderngl
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from demos.headless import Canvas
+from demos.stage import Stage
+from runtime.actor import Actor
+from runtime.camera import Camera
+from runtime.renderer import Renderer
+from runtime.views import VIEWS
+
+Pixels = NDArray[np.uint8]
+
+PAPER = (242, 243, 245)
+INK = (40, 44, 52)
+
+
+class Studio:
+    """Draws actors of one context into pictures of any size.
+
+    Parameters
+    ----------
+    ctx : moderngl.Context
+    renderer : Renderer, optional
+        One with settings of its own.
+    """
+
+    def __init__(self, ctx: moderngl.Context, renderer: Renderer | None = None) -> None:
+        self.ctx = ctx
+        self.renderer = renderer or Renderer(ctx)
+        self._stage = Stage(ctx)
+
+    def picture(
+        self,
+        actors: Sequence[Actor],
+        camera: Camera,
+        size: tuple[int, int],
+        *,
+        floor: ArrayLike | None = None,
+        view: str = "lit",
+        lod: int | str = "auto",
+        tessellation: float | str = "off",
+    ) -> Pixels:
+        """Draw one picture, (H, W, 3) uint8.
+
+        Parameters
+        ----------
+        actors : sequence of Actor
+        camera : Camera
+        size : (width, height)
+        floor : (2, 3) float, optional
+            Box of the actors at rest: lit pictures get a backdrop, and a floor under it.
+        view, lod, tessellation
+            As for `Renderer.draw`.
+        """
+        canvas = Canvas(self.ctx, size, VIEWS[view].is_lit)
+        with canvas.drawing((PAPER[0] / 255, PAPER[1] / 255, PAPER[2] / 255, 1.0)):
+            if floor is not None and VIEWS[view].is_lit:
+                self._stage.draw(canvas.framebuffer, self.renderer, actors, camera, floor)
+            self.renderer.draw(actors, camera, view=view, lod=lod, tessellation=tessellation)
+        pixels = canvas.pixels()[..., :3].copy()
+        canvas.release()
+        return pixels
+
+    def release(self) -> None:
+        """Free everything. May be called more than once."""
+        self._stage.release()
+        self.renderer.release()
+
+
+def label(pixels: Pixels, text: str, *, size_px: int = 22, color: tuple[int, int, int] = INK) -> Pixels:
+    """The picture with a line of text in its lower left corner."""
+    image = Image.fromarray(pixels)
+    font = ImageFont.load_default(size_px)
+    place = (0.6 * size_px, pixels.shape[0] - 1.7 * size_px)
+    ImageDraw.Draw(image).text(place, text, fill=color, font=font)
+    return np.asarray(image)
+
+
+def side_by_side(rows: Sequence[Sequence[Pixels]], gap_px: int = 8) -> Pixels:
+    """Rows of equally high pictures, one under the other, on paper; short rows are centred."""
+    bands = []
+    for row in rows:
+        parts: list[Pixels] = []
+        for pixels in row:
+            parts += [np.full((pixels.shape[0], gap_px, 3), PAPER, np.uint8), pixels]
+        bands.append(np.concatenate(parts[1:], axis=1))
+    width = max(band.shape[1] for band in bands)
+    sheet: list[Pixels] = []
+    for band in bands:
+        whole = np.full((band.shape[0], width, 3), PAPER, np.uint8)
+        left = (width - band.shape[1]) // 2
+        whole[:, left : left + band.shape[1]] = band
+        sheet += [np.full((gap_px, width, 3), PAPER, np.uint8), whole]
+    return np.concatenate(sheet[1:], axis=0)
