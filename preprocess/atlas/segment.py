@@ -22,7 +22,13 @@ ITERATIONS = 10
 
 
 def grow_regions(
-    neighbors: Ints, areas: Floats, normals: Floats, centroids: Floats, domains: Ints, counts: Ints
+    neighbors: Ints,
+    areas: Floats,
+    normals: Floats,
+    centroids: Floats,
+    domains: Ints,
+    counts: Ints,
+    compactness: float = COMPACTNESS,
 ) -> tuple[int, Ints]:
     """Split every domain of faces into connected regions.
 
@@ -36,6 +42,9 @@ def grow_regions(
         Domain of each face; each is connected. -1: leave the face alone.
     counts : (D,) int32
         Regions wanted in each domain, at least 1 each; a domain gets no more than it has faces.
+
+    compactness : float
+        Weight of the distance from the region's centre.
 
     Returns
     -------
@@ -52,7 +61,7 @@ def grow_regions(
     domain_area = np.bincount(domains[inside], areas[inside], minlength=num_domains)
     radius = np.sqrt(domain_area / (np.pi * np.maximum(counts, 1)))
     scale = np.zeros(len(areas))
-    scale[inside] = (np.sqrt(COMPACTNESS) / np.where(radius > 0, radius, 1))[domains[inside]]
+    scale[inside] = (np.sqrt(compactness) / np.where(radius > 0, radius, 1))[domains[inside]]
     points = np.concatenate([normals, centroids * scale[:, None]], axis=1)
     seeds = _spread_seeds(points, order, first, counts)
     regions = _grow(neighbors, areas, points, domains, seeds, ITERATIONS)

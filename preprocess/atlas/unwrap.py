@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from preprocess.atlas.flatten import flatten_fixed, flatten_free
 from preprocess.atlas.layout import Layout, build_layout, chart_characteristics
@@ -27,7 +29,7 @@ from preprocess.split_edges import apply_split, split_edges
 
 log = logging.getLogger(__name__)
 
-BUDGET_SHARE = 0.8
+BUDGET_SHARE = 0.7
 """The layout's own floor is at most this share of the floor asked for: decimation does not find the very last face."""
 
 FACES_PER_REGION = 4
@@ -37,7 +39,7 @@ FACES_PER_REGION = 4
 REFINED_SHARE = 0.95
 """Up to this share of the floor, charts that are stretched too far are split again."""
 
-REFINEMENTS = 3
+REFINEMENTS = 5
 MAX_STRETCH = 1.7
 """L2 stretch beyond which a chart is split: an open tube with a cap, an ear, a fist."""
 
@@ -49,6 +51,9 @@ SMALL_PART_FACES = 3.0
 
 BULGE = 3.0
 """Area over the area of a flat disk with the same boundary, above which a part gets two regions (a hemisphere: 2)."""
+
+HALVING_COMPACTNESS = 0.1
+"""Nearly all of a split is left to the normals: a tube is cut lengthwise, which needs no further cut."""
 
 Frames = tuple[Floats, Floats, Floats]
 
@@ -108,7 +113,13 @@ def unwrap(mesh: SkinnedMesh, floor_faces: int, size_px: int, gutter_px: float, 
         worst = _most_stretched(made.charts, min(spare, limit))
         if not len(worst):
             break
-        log.debug("%d of %d charts are stretched too far: split", len(worst), made.layout.num_charts)
+        log.debug(
+            "%d of %d charts split, floor %d, energy %g",
+            len(worst),
+            made.layout.num_charts,
+            made.layout.floor_faces,
+            made.energy,
+        )
         # A split face's first part has its place, so the charts of the source's faces are these.
         regions = made.layout.face_charts[: mesh.num_faces]
         refined = _lay_out(mesh, edges, _halve_regions(surface, edges, frames, triangular, regions, worst), triangular)
@@ -132,8 +143,8 @@ class _Charts:
     corners: Floats
     uvs: Floats
     fractions: Floats
-    areas_m2: Floats
-    stretch: Floats
+    areas_m2: NDArray[np.floating]
+    stretch: NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -168,9 +179,9 @@ def _find_small_parts(surface: TexturedSurface, edges: MeshEdges, areas: Floats,
 def _fit_regions(surface: TexturedSurface, edges: MeshEdges, frames: Frames, triangular: Bools, budget: float) -> Ints:
     """The segmentation with the most regions whose base mesh is within the budget, (F,)."""
     num_parts, parts = label_faces(edges, ~edges.glued)
-    part_area = np.bincount(parts, frames[0], minlength=num_parts)
+    part_area = np.bincount(parts, frames[0], minlength=num_parts).astype(np.float64)
     share = part_area / max(part_area.sum(), 1e-300)
-    least = _least_regions(surface, edges, parts, part_area)
+    least = _least_regions(surface, edges, parts, part_area, budget)
     wanted = budget
     best: tuple[int, Ints] | None = None
     for _ in range(5):
@@ -189,14 +200,21 @@ def _fit_regions(surface: TexturedSurface, edges: MeshEdges, frames: Frames, tri
     return best[1]
 
 
-def _least_regions(surface: TexturedSurface, edges: MeshEdges, parts: Ints, part_area: Floats) -> Ints:
-    """Regions that every part needs: 2 where its area is far more than its boundary can enclose in a plane, (C,)."""
+def _least_regions(
+    surface: TexturedSurface, edges: MeshEdges, parts: Ints, part_area: NDArray[np.floating], budget: float
+) -> Ints:
+    """Regions that every part needs: 2 where its area is far more than its boundary can enclose in a plane, (C,).
+
+    Small parts must do with one.
+    """
     border = np.flatnonzero(~edges.glued)
     ends = surface.positions[edges.vertices[border]]
     length = np.bincount(
         parts[edges.halves[border, 0] // 3], np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), len(part_area)
     )
-    return np.where(4 * np.pi * part_area > BULGE * length**2, 2, 1).astype(np.int32)
+    bulges = 4 * np.pi * part_area > BULGE * length**2
+    large = part_area * budget >= SMALL_PART_FACES * part_area.sum()
+    return np.where(bulges & large, 2, 1).astype(np.int32)
 
 
 def _halve_regions(
@@ -207,7 +225,7 @@ def _halve_regions(
     number = np.full(count, -1, np.int32)
     number[chosen] = np.arange(len(chosen))
     domains = number[regions]
-    _, halves = grow_regions(edges.neighbors, *frames, domains, np.full(len(chosen), 2, np.int32))
+    _, halves = grow_regions(edges.neighbors, *frames, domains, np.full(len(chosen), 2, np.int32), HALVING_COMPACTNESS)
     regions = np.where(domains >= 0, count + halves, regions).astype(np.int32)
     regions = _make_disks(surface, edges, frames, regions, count + 2 * len(chosen))
     return _relax(surface, edges, frames, triangular, regions)[0]
@@ -222,7 +240,9 @@ def _make_disks(surface: TexturedSurface, edges: MeshEdges, frames: Frames, regi
             return regions
         number = np.where(bad, np.cumsum(bad) - 1, -1)
         domains = number[charts].astype(np.int32)
-        added, halves = grow_regions(edges.neighbors, *frames, domains, np.full(int(bad.sum()), 2, np.int32))
+        added, halves = grow_regions(
+            edges.neighbors, *frames, domains, np.full(int(bad.sum()), 2, np.int32), HALVING_COMPACTNESS
+        )
         regions = np.where(domains >= 0, count + halves, regions).astype(np.int32)
         count += added
 
@@ -287,8 +307,8 @@ def _map_charts(surface: TexturedSurface, layout: Layout) -> _Charts:
     points = surface.positions[layout.uv_vertices]
     num_charts = layout.num_charts
     side_charts = np.repeat(np.arange(num_charts, dtype=np.int32), layout.num_sides)
-    areas_m2 = np.bincount(layout.face_charts, face_frames(surface.positions, surface.faces)[0], num_charts)
-    areas_m2 = np.maximum(areas_m2, 1e-12 * max(float(areas_m2.sum()), 1e-300))
+    areas: Any = np.bincount(layout.face_charts, face_frames(surface.positions, surface.faces)[0], num_charts)
+    areas_m2 = np.maximum(areas, 1e-12 * max(float(areas.sum()), 1e-300))
     free = flatten_free(points, layout.face_uvs, layout.face_charts, num_charts)
     path_lengths = _path_lengths(surface.positions, layout)
     corners = convex_polygons(free[layout.side_uvs], layout.chart_first, path_lengths[layout.side_paths])
@@ -302,7 +322,7 @@ def _map_charts(surface: TexturedSurface, layout: Layout) -> _Charts:
     if folds.any():
         log.warning("%d of %d charts have folded faces", int((folds > 0).sum()), num_charts)
     uvs, fractions = smooth_charts(surface.positions, surface.faces, layout, corners, uvs, layout.path_fractions, folds)
-    energy: Floats = np.bincount(layout.face_charts, face_energies(surface, uvs, layout.face_uvs), num_charts)
+    energy = np.bincount(layout.face_charts, face_energies(surface, uvs, layout.face_uvs), num_charts)
     return _Charts(corners, uvs, fractions, areas_m2, np.sqrt(energy / areas_m2))
 
 
