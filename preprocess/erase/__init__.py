@@ -12,6 +12,7 @@ from preprocess.erase.eraser import (
 )
 from preprocess.erase.faults import Decision, choose_color_seams, choose_normal_seams, draw_decision
 from preprocess.erase.mips import Level, erase_mips
+from preprocess.erase.partition import quantise_weights
 from preprocess.erase.quantise import quantise
 from preprocess.erase.strip import SeamMeasure, SeamStrip, build_strip, measure_seams
 
@@ -35,4 +36,5 @@ __all__ = [
     "measure_seams",
     "plan_erasure",
     "quantise",
+    "quantise_weights",
 ]

@@ -213,13 +213,16 @@ def build_grid(region: Region, *, fine_reach: int = 4, reach: int = 3) -> Grid:
     fine_reach : int
         Distance from the silhouette, texels, within which there are only cells. At least 2.
     reach : int
-        Distance, in squares, within which larger squares are split. At least 2.
+        Distance, in squares, within which larger squares are split. At least 1 + fine_reach / 2, so that neighbours
+        differ by a factor of two at most.
 
     Returns
     -------
     Grid
         Empty where the region has no silhouette.
     """
+    if fine_reach < 2 or reach < 1 + -(-fine_reach // 2):
+        raise ValueError(f"reach {reach} is too short for fine_reach {fine_reach}")
     width, height = region.width, region.height
     finest, corners, sides = _split_squares(region, fine_reach, reach)
     texels, texel_mass, edges, edge_mass = _find_fine_parts(region, finest)

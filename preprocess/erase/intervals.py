@@ -77,6 +77,17 @@ class Intervals:
             points = np.clip(points, 0.0, (width - 1, height - 1))
         return points - self.cells[:, None]
 
+    @property
+    def is_clamped(self) -> NDArray[np.bool_]:
+        """Whether samples are clamped to the image's edge, so that they do not vary across it, (I, K, 2 axes)."""
+        if self.repeat:
+            return np.zeros(self.cells.shape, np.bool_)
+        middle = 0.5 * (self.start + self.end)[:, None, None]
+        lines = self.lines_px[self.edges]
+        points = (1 - middle) * lines[:, :, 0] + middle * lines[:, :, 1]
+        width, height = self.size_px
+        return (points < 0) | (points > (width - 1, height - 1))
+
     def gauss(self, num_points: int) -> tuple[Floats, Floats]:
         """Gauss-Legendre parameters and weights on each interval, both (I, Q); exact to degree 2Q - 1."""
         nodes, weights = np.polynomial.legendre.leggauss(num_points)

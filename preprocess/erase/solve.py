@@ -28,6 +28,9 @@ from preprocess.mesh import Floats
 # interior texel add up to a diagonal of one.
 GRADIENT_MASS = 0.25
 
+# Weight of any node's squared change, so that outside texels with no inside texel near them have an answer too.
+TIE = 1e-8
+
 MAX_REPEATS = 60
 
 
@@ -88,7 +91,7 @@ def grid_matrix(grid: Grid, change_weight: float, inside_weight: float, outside_
     first, second = grid.edge_nodes.T
     both_inside = grid.inside[first] & grid.inside[second]
     weight = grid.edge_mass * np.where(both_inside, inside_weight, outside_weight)
-    mass = change_weight * grid.texel_mass * grid.inside
+    mass = change_weight * grid.texel_mass * grid.inside + TIE
     elements = _square_elements(grid.square_sides, change_weight, inside_weight)
     num = len(grid.nodes)
     diagonal = np.arange(num)

@@ -151,7 +151,8 @@ def slope_rows(intervals: Intervals, lengths_m: Floats, normals: Floats) -> spar
     gamma, weights = intervals.gauss(2)
     fractions = intervals.fractions(gamma)
     fx, fy = fractions[..., 0], fractions[..., 1]  # (I, Q, 2)
-    nx, ny = (normals[intervals.edges][:, None, :, axis] for axis in (0, 1))
+    directions = np.where(intervals.is_clamped, 0.0, normals[intervals.edges])[:, None]
+    nx, ny = directions[..., 0], directions[..., 1]
     slope = np.stack(
         [
             -nx * (1 - fy) - ny * (1 - fx),
@@ -161,7 +162,7 @@ def slope_rows(intervals: Intervals, lengths_m: Floats, normals: Floats) -> spar
         ],
         axis=-1,
     )  # (I, Q, 2, 4)
-    slope = slope.reshape(len(intervals), -1, 8) * _shares(intervals, lengths_m, weights)[:, :, None]
+    slope = slope.reshape(*gamma.shape, 8) * _shares(intervals, lengths_m, weights)[:, :, None]
     width, height = intervals.size_px
     return to_rows(intervals.texels.reshape(-1, 8), slope, width * height)
 

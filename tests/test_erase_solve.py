@@ -1,0 +1,412 @@
+"""Seam erasure as a whole: exact, as the dense solution, in range as stored, at every mip level, on hard meshes."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from preprocess.erase import (
+    GLOBAL,
+    LOCAL,
+    EraseOptions,
+    Weights,
+    choose_color_seams,
+    choose_normal_seams,
+    draw_decision,
+    erase,
+    erase_mips,
+    measure_seams,
+    plan_erasure,
+    quantise,
+    quantise_weights,
+)
+from preprocess.erase import eraser as eraser_module
+from preprocess.erase.mips import linear_to_srgb, mip_sizes, shrink, srgb_to_linear
+from preprocess.erase.quantise import PEAK, STAY, TOLERATED, _gain
+from preprocess.erase.solve import GRADIENT_MASS, NotConvergedError
+from preprocess.erase.terms import inward_normals, jump_rows, lerp_targets, sample_rows, slope_rows, value_rows
+from preprocess.mesh import TexturedSurface
+from preprocess.seams import find_seams
+from preprocess.texels import sample_bilinear
+from tests.builders_erase import make_cube, make_pair, make_square, paint
+from tests.test_erase_terms import full_matrix
+
+MESHES = {
+    "cube": make_cube(),
+    "pair": make_pair(),
+    "turned pair": make_pair(turn_rad=2.2),
+    "mirrored": dataclasses.replace(make_cube(), uvs=make_cube().uvs * (-1, 1) + (1, 0)),
+}
+
+
+def dense_solution(plan, image: np.ndarray, samples=None) -> np.ndarray:
+    """Minimise the same energies over all used texels of the full grid."""
+    height, width, channels = image.shape
+    weights, region = plan.options.weights, plan.region
+    p0 = image.reshape(-1, channels)
+    matrix = full_matrix(
+        region, weights.change / region.num_inside, weights.inside_gradient * GRADIENT_MASS,
+        weights.outside_gradient * GRADIENT_MASS,
+    )  # fmt: skip
+    pull = full_matrix(region, 0.0, 0.0, weights.outside_gradient * GRADIENT_MASS)
+    force = -pull @ p0
+    terms = [(weights.slope, slope_rows(
+        plan.intervals, plan.lengths_m, inward_normals(plan.surface, plan.seams, width, height)), 0.0)]  # fmt: skip
+    if plan.options.seam_value != "none":
+        lengths = eraser_module._silhouette_lengths(plan.surface, plan.seams)
+        rows, scale = value_rows(plan.silhouette, lengths)
+        target = rows @ p0
+        if plan.options.seam_value == "lerp":
+            nodes = p0[plan.grid.nodes]
+            target = lerp_targets(plan.silhouette, scale, plan._own_end_values(nodes))
+        terms.append((weights.value, rows, target))
+    if samples is not None:
+        uvs, values = samples
+        terms.append((weights.samples, sample_rows(uvs, width, height), values / np.sqrt(len(uvs))))
+    for weight, rows, target in terms:
+        dense = rows.toarray()
+        matrix += weight * dense.T @ dense
+        force += weight * dense.T @ (target - dense @ p0)
+    jump = jump_rows(plan.intervals, plan.lengths_m).toarray()
+    used = np.flatnonzero(region.used.ravel())
+    force -= plan.options.seam_weight * jump.T @ (jump @ p0)
+    matrix += plan.options.seam_weight * jump.T @ jump
+    solution = p0.copy()
+    solution[used] += np.linalg.solve(matrix[np.ix_(used, used)], force[used])
+    return solution.reshape(image.shape)
+
+
+@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize("size", [(24, 24), (40, 16), (8, 8)])
+@pytest.mark.parametrize("weights", [LOCAL, GLOBAL], ids=["local", "global"])
+def test_seams_vanish(name, size, weights):
+    surface = MESHES[name]
+    seams = find_seams(surface)
+    image = paint(*size)
+    erased = erase(image, surface, seams, EraseOptions(weights=weights))
+    assert (erased.after <= 1e-11).all() and (erased.before > 1e-6).all()
+    measured = measure_seams(erased.texels, surface, seams)
+    np.testing.assert_allclose(measured.total, erased.after, rtol=1e-3, atol=1e-20)
+    assert measured.max.max() < 1e-4
+    np.testing.assert_allclose(measure_seams(image, surface, seams).total, erased.before, rtol=1e-9)
+
+
+@pytest.mark.parametrize("seam_value", ["none", "texture", "lerp"])
+@pytest.mark.parametrize("name", ["pair", "cube"])
+def test_solution_equals_dense_solve(name, seam_value, monkeypatch):
+    monkeypatch.setattr(eraser_module, "_reaches", lambda weights, num: (40, 21))  # all texels are unknowns
+    surface = MESHES[name]
+    seams = find_seams(surface)
+    image = paint(26, 22, channels=2)
+    plan = plan_erasure(surface, seams, 26, 22, EraseOptions(seam_value=seam_value, seam_weight=1e6))
+    np.testing.assert_allclose(plan.erase(image).texels, dense_solution(plan, image), atol=1e-6)
+
+
+def test_samples_hold_known_values(monkeypatch):
+    monkeypatch.setattr(eraser_module, "_reaches", lambda weights, num: (40, 21))
+    surface = MESHES["pair"]
+    seams = find_seams(surface)
+    image = paint(26, 22, channels=1)
+    uvs = surface.uvs
+    values = np.array([0.2, 0.4, 0.6, 0.4, 0.6, 0.9])[:, None]
+    plan = plan_erasure(surface, seams, 26, 22, EraseOptions(seam_weight=1e6), sample_uvs=uvs)
+    erased = plan.erase(image, sample_values=values)
+    np.testing.assert_allclose(erased.texels, dense_solution(plan, image, (uvs, values)), atol=1e-6)
+    free = erase(image, surface, seams).texels
+    missed, held = (np.abs(sample_bilinear(t, uvs) - values).max() for t in (free, erased.texels))
+    assert held < 0.1 * missed
+    with pytest.raises(ValueError, match="samples"):
+        plan.erase(image)
+
+
+def test_coarse_solution_agrees_with_the_full_grid(monkeypatch):
+    surface = MESHES["cube"]
+    seams = find_seams(surface)
+    image = ndimage.gaussian_filter(paint(128, 128), (2, 2, 0))
+    for weights in (LOCAL, GLOBAL):
+        plan = plan_erasure(surface, seams, 128, 128, EraseOptions(weights=weights))
+        with monkeypatch.context() as patch:
+            patch.setattr(eraser_module, "_reaches", lambda weights, num: (100, 51))
+            full = plan_erasure(surface, seams, 128, 128, EraseOptions(weights=weights))
+        assert len(plan.grid.nodes) < 0.95 * len(full.grid.nodes)
+        difference = plan.erase(image).texels - full.erase(image).texels
+        assert np.abs(difference[plan.region.inside]).max() < 1 / 255
+
+
+def test_constants_and_sums_survive():
+    surface = MESHES["cube"]
+    seams = find_seams(surface)
+    constant = np.full((32, 32, 1), 0.37)
+    np.testing.assert_allclose(erase(constant, surface, seams).texels, constant, atol=1e-8)
+    parts = paint(32, 32, channels=4)
+    parts /= parts.sum(axis=2, keepdims=True)
+    np.testing.assert_allclose(erase(parts, surface, seams).texels.sum(axis=2), 1.0, atol=1e-7)
+
+
+def test_unused_texels_stay_and_input_is_not_changed():
+    surface = MESHES["cube"]
+    seams = find_seams(surface)
+    image = paint(64, 64)
+    kept = image.copy()
+    plan = plan_erasure(surface, seams, 64, 64)
+    erased = plan.erase(image).texels
+    np.testing.assert_array_equal(image, kept)
+    np.testing.assert_array_equal(erased[~plan.region.used], image[~plan.region.used])
+
+
+def test_many_channels_are_solved_as_each_alone():
+    surface = MESHES["cube"]
+    seams = find_seams(surface)
+    image = paint(32, 24, channels=5)
+    plan = plan_erasure(surface, seams, 32, 24)
+    together = plan.erase(image).texels
+    alone = np.concatenate([plan.erase(image[:, :, c : c + 1]).texels for c in range(5)], axis=2)
+    np.testing.assert_allclose(together, alone, atol=1e-5)
+    again = plan.erase(image).texels
+    np.testing.assert_array_equal(together, again)
+
+
+def test_global_reaches_further_than_local():
+    surface = MESHES["pair"]
+    seams = find_seams(surface)
+    image = np.zeros((128, 128, 1))
+    image[:, 64:] = 0.5
+    far = (20, 20)  # inside the first triangle, away from the seam
+    local, everywhere = (erase(image, surface, seams, EraseOptions(weights=w)).texels[far][0] for w in (LOCAL, GLOBAL))
+    assert abs(local) < 0.02 < abs(everywhere)
+
+
+def test_only_joined_seams_are_closed():
+    surface = MESHES["cube"]
+    seams = find_seams(surface)
+    image = paint(64, 64)
+    joined = np.arange(len(seams.vertices)) % 2 == 0
+    texels = erase(image, surface, seams, EraseOptions(joined=joined)).texels
+    left = measure_seams(texels, surface, seams).seam_rms.max(axis=1)
+    assert left[joined].max() < 1e-5 and left[~joined].min() > 1e-3
+    nothing = erase(image, surface, seams, EraseOptions(joined=np.zeros(len(joined), bool)))
+    np.testing.assert_array_equal(nothing.texels, image)
+
+
+def test_a_finite_seam_weight_leaves_a_little():
+    surface = MESHES["cube"]
+    seams = find_seams(surface)
+    image = paint(64, 64)
+    soft, hard = (erase(image, surface, seams, EraseOptions(seam_weight=w)) for w in (1e6, None))
+    assert (hard.after < soft.after).all() and (soft.after < 1e-3 * soft.before).all()
+
+
+def test_mesh_without_seams_returns_the_input():
+    surface = make_square()
+    image = paint(20, 20)
+    erased = erase(image, surface, find_seams(surface))
+    np.testing.assert_array_equal(erased.texels, image)
+    assert erased.repeats == 0
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 9), (9, 1), (2, 2), (3, 5)])
+def test_tiny_images(size):
+    surface = MESHES["cube"]
+    seams = find_seams(surface)
+    erased = erase(paint(*size), surface, seams)
+    assert np.isfinite(erased.texels).all() and (erased.after <= 1e-11).all()
+
+
+@pytest.mark.parametrize("repeat", [False, True])
+def test_uvs_outside_the_image(repeat):
+    surface = dataclasses.replace(MESHES["cube"], uvs=MESHES["cube"].uvs + np.array([0.43, -0.21]))
+    seams = find_seams(surface)
+    erased = erase(paint(40, 32), surface, seams, EraseOptions(repeat=repeat))
+    assert (erased.after <= 1e-11).all()
+    assert measure_seams(erased.texels, surface, seams, repeat=repeat).max.max() < 1e-4
+    if repeat:  # moving by whole images changes nothing
+        moved = dataclasses.replace(surface, uvs=surface.uvs + np.array([1.0, -2.0]))
+        same = erase(paint(40, 32), moved, seams, EraseOptions(repeat=True))
+        np.testing.assert_allclose(same.texels, erased.texels, atol=1e-5)
+
+
+def test_degenerate_edges_and_overlaps():
+    cube = MESHES["cube"]
+    uvs = cube.uvs.copy()
+    uvs[4:8] = uvs[4]  # a chart shrunk to a point
+    uvs[8:12] = uvs[0:4]  # two charts on the same texels
+    uvs[13] = uvs[12]  # a zero-length uv edge
+    positions = cube.positions.copy()
+    positions[1] = positions[0]  # a zero-length 3D edge
+    surface = TexturedSurface(positions, cube.faces, uvs, cube.face_uvs)
+    seams = find_seams(surface)
+    erased = erase(paint(32, 32), surface, seams)
+    assert np.isfinite(erased.texels).all() and (erased.after <= 1e-11).all()
+
+
+def test_refusals():
+    surface = MESHES["pair"]
+    seams = find_seams(surface)
+    plan = plan_erasure(surface, seams, 16, 16)
+    with pytest.raises(ValueError, match="planned for"):
+        plan.erase(np.zeros((8, 16, 1)))
+    broken = np.zeros((16, 16, 1))
+    broken[3, 4] = np.nan
+    with pytest.raises(ValueError, match="finite"):
+        plan.erase(broken)
+
+
+def test_not_converging_is_an_error(monkeypatch):
+    monkeypatch.setattr(eraser_module, "TOLERANCE_REL", 0.0)
+    monkeypatch.setattr("preprocess.erase.solve.MAX_REPEATS", 2)
+    with pytest.raises(NotConvergedError):
+        erase(paint(24, 24), MESHES["cube"], find_seams(MESHES["cube"]))
+
+
+@pytest.mark.parametrize("levels", [255, 65535])
+@pytest.mark.parametrize("name", MESHES)
+def test_stored_integers_are_seamless(name, levels):
+    surface = MESHES[name]
+    seams = find_seams(surface)
+    image = paint(96, 96)
+    plan = plan_erasure(surface, seams, 96, 96)
+    solution = plan.erase(image).texels
+    rounded = np.clip(np.rint(solution * levels), 0, levels)
+    stored = quantise(solution, plan.strip, levels)
+    assert stored.dtype == (np.uint8 if levels == 255 else np.uint16)
+    ours, plain = plan.measure(stored), plan.measure(rounded)
+    assert ours.max.max() <= 0.5
+    assert np.sqrt(ours.total.sum()) <= 0.5 * np.sqrt(plain.total.sum())
+    away = np.ones(96 * 96, bool)
+    away[plan.strip.texels] = False
+    np.testing.assert_array_equal(stored.reshape(-1, 3)[away], rounded.reshape(-1, 3)[away])
+    direct = plan.erase_stored(np.rint(image * levels).astype(stored.dtype))
+    assert plan.measure(direct.texels).max.max() <= 0.5
+
+
+def test_rounding_stays_in_range_where_the_solution_leaves_it():
+    surface = MESHES["cube"]
+    seams = find_seams(surface)
+    image = (paint(96, 96, seed=4) > 0.5).astype(float)
+    plan = plan_erasure(surface, seams, 96, 96)
+    solution = plan.erase(image).texels
+    assert solution.min() < -0.01 and solution.max() > 1.01
+    stored = plan.erase_stored((image * 255).astype(np.uint8)).texels
+    assert plan.measure(stored).max.max() <= 0.5
+
+
+def test_gain_equals_the_objective():
+    surface = MESHES["cube"]
+    seams = find_seams(surface)
+    plan = plan_erasure(surface, seams, 24, 24)
+    strip = plan.strip
+    rng = np.random.default_rng(0)
+    wanted = rng.uniform(0, 20, len(strip.texels))
+    stored = np.rint(wanted)
+
+    def objective(values):
+        jump = strip.rows @ values
+        over = np.maximum(np.abs(jump) - TOLERATED, 0)
+        return strip.weights @ jump**2 + PEAK * np.sum(over**2) + STAY * np.sum((values - wanted) ** 2)
+
+    jump = strip.rows @ stored
+    columns = strip.columns
+    for texel in rng.integers(0, len(wanted), 20):
+        for step in (-2.0, 1.0):
+            gain = _gain(texel, step, columns.indices, columns.indptr, columns.data, strip.weights,
+                         np.full(len(jump), PEAK), jump, stored, wanted, TOLERATED, STAY)  # fmt: skip
+            moved = stored.copy()
+            moved[texel] += step
+            assert gain == pytest.approx(objective(moved) - objective(stored), abs=1e-9)
+
+
+@pytest.mark.parametrize("levels", [255, 65535])
+def test_stored_weights_are_a_partition_and_seamless(levels):
+    surface = MESHES["cube"]
+    seams = find_seams(surface)
+    weights = np.maximum(paint(64, 64, channels=6) - 0.45, 0)
+    weights[:, :, 0] += 0.05
+    weights /= weights.sum(axis=2, keepdims=True)
+    plan = plan_erasure(surface, seams, 64, 64)
+    solution = plan.erase(weights).texels
+    stored = quantise_weights(solution, plan.strip, levels)
+    assert (stored.sum(axis=2, dtype=np.int64) == levels).all()
+    plain = np.rint(np.clip(solution, 0, None) / np.clip(solution, 0, None).sum(2, keepdims=True) * levels)
+    assert plan.measure(stored).total.sum() < 0.25 * plan.measure(plain).total.sum()
+    if levels == 255:
+        assert plan.measure(stored).max.max() <= 0.5
+    empty = quantise_weights(np.zeros((64, 64, 6)), plan.strip, levels)
+    assert (empty[:, :, 0] == levels).all() and not empty[:, :, 1:].any()
+
+
+@pytest.mark.parametrize("size", [(64, 64), (48, 20)])
+def test_every_mip_level_is_seamless(size):
+    surface = MESHES["cube"]
+    seams = find_seams(surface)
+    plans: dict = {}
+    chain = erase_mips(paint(*size), surface, seams, levels=255, srgb_channels=3, plans=plans)
+    assert [level.texels.shape[1::-1] for level in chain] == mip_sizes(*size)
+    for level in chain:
+        assert level.stored.max.max() <= 0.5 / 255
+        assert (level.after.total <= 1e-11).all()
+    assert set(plans) == set(mip_sizes(*size))
+
+
+def test_mips_do_not_bleed_across_the_outline():
+    surface = MESHES["cube"]
+    seams = find_seams(surface)
+    plan = plan_erasure(surface, seams, 64, 64)
+    image = np.where(plan.region.used[:, :, None], 0.25, 1.0)
+    chain = erase_mips(image, surface, seams)
+    for level in chain[:-1]:
+        height, width = level.texels.shape[:2]
+        used = plan_erasure(surface, seams, width, height).region.used
+        np.testing.assert_allclose(level.texels[used], 0.25, atol=1e-6)
+
+
+def test_shrink_is_the_mean_of_used_texels():
+    image = paint(7, 6, channels=2)
+    used = np.ones((6, 7), bool)
+    small = shrink(image, used, 3, 3)
+    np.testing.assert_allclose(small.mean(axis=(0, 1)), image.mean(axis=(0, 1)))
+    used[:, :4] = False
+    right = shrink(image[:, :6], used[:, :6], 3, 3)[:, 2]
+    np.testing.assert_allclose(right, image[:, 4:6].reshape(3, 2, 2, 2).mean(axis=(1, 2)))
+
+
+def test_srgb_round_trip():
+    values = np.linspace(-0.5, 1.5, 101)
+    np.testing.assert_allclose(linear_to_srgb(srgb_to_linear(values)), values, atol=1e-12)
+    assert srgb_to_linear(np.array([0.5]))[0] == pytest.approx(0.21404114)
+
+
+def test_painted_borders_and_creases_are_left():
+    surface = MESHES["pair"]
+    seams = find_seams(surface)
+    image = np.zeros((32, 32, 3))
+    image[:, 16:] = 0.4
+    assert choose_color_seams(image, surface, seams).joined.all()
+    assert choose_color_seams(image, surface, seams, 0.5).joined.all()
+    decision = choose_color_seams(image, surface, seams, 0.3)
+    assert decision.num_left == 1 and decision.difference[0] == pytest.approx(0.4, rel=1e-6)
+    assert choose_color_seams(image, surface, seams, 0.3, made_here=np.ones(1, bool)).joined.all()
+
+    normals = np.zeros((2, 3, 3))
+    normals[..., 2] = 1.0
+    assert choose_normal_seams(surface, seams, normals).joined.all()
+    normals[1] = [0, np.sin(0.2), np.cos(0.2)]
+    hard = choose_normal_seams(surface, seams, normals)
+    assert hard.num_left == 1 and hard.difference[0] == pytest.approx(0.2)
+    assert choose_normal_seams(surface, seams, normals, 0.3).joined.all()
+
+    picture = draw_decision(image, surface, seams, decision)
+    assert picture.shape == image.shape
+    assert ((picture[..., 0] - picture[..., 1]) > 0.5).sum() > 10, "the seam left is drawn red"
+
+
+def test_weights_can_be_set():
+    surface = MESHES["pair"]
+    seams = find_seams(surface)
+    image = paint(48, 48)
+    stiff = erase(image, surface, seams, EraseOptions(weights=Weights(change=1e6))).texels
+    loose = erase(image, surface, seams, EraseOptions(weights=Weights(change=1e1))).texels
+    inside = plan_erasure(surface, seams, 48, 48).region.inside
+    assert np.abs(stiff - image)[inside].sum() < np.abs(loose - image)[inside].sum()
