@@ -17,7 +17,7 @@ from preprocess.decimate.engine import Engine, make_engine
 from preprocess.decimate.floor import count_floor
 from preprocess.decimate.lod import Chain, DecimateOptions, Lod, Strictness
 from preprocess.decimate.measure import NUM_SAMPLES, Reference, make_reference, measure
-from preprocess.decimate.topology import build_half_edges
+from preprocess.decimate.topology import build_half_edges, source_uvs
 from preprocess.errors import InputError
 from preprocess.mesh import TexturedSurface
 
@@ -25,6 +25,10 @@ log = logging.getLogger(__name__)
 
 # A level that would save less than this share of the one before is not worth its bytes.
 MIN_SAVING_REL = 0.2
+# The run may stop this far above the floor that the charts' corners set.
+NEAR_FLOOR_REL = 1.5
+# Allowances tried for a relaxed level, as multiples of what the level before would be allowed.
+RELAXED_GROWTHS = (1.0, 1.5, 2.25, 3.4)
 
 
 def _targets(num_faces: int, options: DecimateOptions) -> list[int]:
@@ -155,21 +159,33 @@ def _relaxed_levels(
     """Levels below the exact floor, each with seams that stray by less than can be seen where it is used.
 
     A level is used where its error is about a pixel, and the mip level there has texels of about a pixel, so half a
-    texel of that mip is half of the error, as a length on the surface. The error of the level before is the lower
-    bound that counts here.
+    texel of that mip is half of the error, as a length on the surface. How large the error will be is not known
+    before, so a few allowances are tried, upwards from that of the level before, which is a lower bound: the first
+    that reaches the target counts, if what was used of it fits the error that came of it.
     """
     lods: list[Lod] = []
     last = finest
     for target in targets:
-        if target >= last.num_faces:
-            continue
-        engine.relax(options.relaxed_px * last.error_m / engine.metres_per_uv)
-        engine.run_to(target)
-        if engine.num_faces > (1 - MIN_SAVING_REL) * last.num_faces:
-            break
-        bound_px = engine.deviation_uv * options.texture_px
-        last = replace(_measured(reference, engine.snapshot(), last.error_m), exact=False, uv_bound_px=bound_px)
-        lods.append(last)
+        chosen: tuple[Engine, Lod] | None = None
+        for growth in RELAXED_GROWTHS:
+            allowance = growth * options.relaxed_px * last.error_m / engine.metres_per_uv
+            attempt = engine.copy()
+            attempt.relax(allowance)
+            attempt.run_to(target)
+            if attempt.num_faces > (1 - MIN_SAVING_REL) * last.num_faces:
+                continue
+            lod = _measured(reference, attempt.snapshot(), last.error_m)
+            if attempt.deviation_uv * engine.metres_per_uv > options.relaxed_px * lod.error_m:
+                break
+            if chosen is None or lod.error_m <= chosen[1].error_m:
+                chosen = attempt, lod
+            if attempt.num_faces <= target:
+                break
+        if chosen is not None:
+            engine, lod = chosen
+            exact = engine.deviation_uv <= options.seam_tolerance_uv
+            last = replace(lod, exact=exact, uv_bound_px=engine.deviation_uv * options.texture_px)
+            lods.append(last)
     return lods
 
 
@@ -206,27 +222,34 @@ def decimate(
     options = options or DecimateOptions()
     engine = make_engine(surface, options, position_texture, poses)
     reference = make_reference(surface, poses, NUM_SAMPLES)
+    may_relax = options.ratios is None and options.relaxed_px > 0 and options.strict is Strictness.SEAMLESS
+    near_floor = NEAR_FLOOR_REL * engine.predict_floor() if may_relax else 0
     lods: list[Lod] = []
+    relaxed: list[Lod] = []
     targets = _targets(engine.num_faces, options)
     floor, blocked = -1, {}
-    for target in targets:
+    for position, target in enumerate(targets):
+        before = engine.copy() if lods and target < near_floor else None
         engine.run_to(target)
         last_error = lods[-1].error_m if lods else 0.0
         if not lods or options.ratios is not None or engine.num_faces <= (1 - MIN_SAVING_REL) * lods[-1].num_faces:
             lods.append(_measured(reference, engine.snapshot(), last_error))
         if engine.num_faces > target:
             floor, blocked = engine.num_faces, engine.blocked()
+            if before is not None:
+                # The last steps to the floor take what is left, at any cost; relaxed levels start before them.
+                start = lods[-2] if lods[-1].num_faces == floor and len(lods) > 1 else lods[-1]
+                relaxed = _relaxed_levels(before, reference, start, targets[position:], options)
             break
+    if relaxed and lods[-1].num_faces == floor and lods[-1].error_m >= relaxed[0].error_m:
+        lods.pop()  # as coarse to look at, with more faces
     warnings = list(engine.repairs.warnings())
-    if floor >= 0 and options.ratios is None and options.relaxed_px > 0 and options.strict is Strictness.SEAMLESS:
-        coarser = [target for target in targets if target < floor]
-        relaxed = _relaxed_levels(engine, reference, lods[-1], coarser, options)
-        lods += relaxed
-        warnings += [
-            f"level {len(lods) - len(relaxed) + i} ({lod.num_faces} faces) has seams relaxed by up to "
-            f"{lod.uv_bound_px:.1f} texels"
-            for i, lod in enumerate(relaxed)
-        ]
+    for level, lod in enumerate(relaxed, len(lods)):
+        if not lod.exact:
+            warnings.append(
+                f"level {level} ({lod.num_faces} faces) has seams relaxed by up to {lod.uv_bound_px:.1f} texels"
+            )
+    lods += relaxed
     log.info("decimate: %d -> %s faces", len(surface.faces), ", ".join(str(lod.num_faces) for lod in lods))
     return Chain(tuple(lods), floor, blocked, engine.repairs, tuple(warnings))
 
@@ -248,4 +271,4 @@ def floor_faces(surface: TexturedSurface, tolerance_uv: float = 1e-9) -> int:
         See `decimate`.
     """
     half_edges, _ = build_half_edges(surface)
-    return count_floor(half_edges, surface, tolerance_uv)
+    return count_floor(half_edges, source_uvs(half_edges, surface), tolerance_uv)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.decimate import rules
 from preprocess.decimate.collapse import run
+from preprocess.decimate.floor import count_floor
 from preprocess.decimate.lod import DecimateOptions, Lod, Repairs, Strictness
 from preprocess.decimate.quadrics import SIZE, accumulate_faces
 from preprocess.decimate.rules import Mesh
@@ -80,6 +82,16 @@ class Engine:
     def run_to(self, target_faces: int, max_cost: float = np.inf) -> None:
         """Collapse until that many faces are left, the next collapse costs more, or none is legal."""
         run(self.mesh, target_faces, max_cost, np.zeros(0, np.int64))
+
+    def copy(self) -> Engine:
+        """The same state, to go on from twice."""
+        arrays: list[Any] = [array.copy() for array in self.mesh]
+        return replace(self, mesh=Mesh(*arrays))
+
+    def predict_floor(self) -> int:
+        """Lower bound of the faces that exact collapses leave; only before the first collapse."""
+        uvs = self.mesh.uv
+        return count_floor(self.half_edges, uvs, float(self.mesh.settings[rules.SEAM_TOLERANCE]))
 
     def relax(self, tolerance_uv: float) -> None:
         """Let seams stray that far from their lines from now on, and look at every edge again."""

@@ -8,10 +8,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from preprocess.decimate.topology import NO_WEDGE, HalfEdges
-from preprocess.mesh import TexturedSurface
+from preprocess.mesh import Floats
 
 
-def find_free_vertices(half_edges: HalfEdges, surface: TexturedSurface, tolerance_uv: float) -> NDArray[np.bool_]:
+def find_free_vertices(half_edges: HalfEdges, uvs: Floats, tolerance_uv: float) -> NDArray[np.bool_]:
     """Silhouette vertices that a straight, evenly timed line runs through: (V,) bool (see rules.py)."""
     tail, wedge, twin = half_edges.tail, half_edges.wedge, half_edges.twin
     num_vertices = len(half_edges.vertex_source)
@@ -24,7 +24,6 @@ def find_free_vertices(half_edges: HalfEdges, surface: TexturedSurface, toleranc
     outgoing = outgoing[np.argsort(tail[outgoing], kind="stable")].reshape(-1, 2)
     g, k = outgoing.T  # b -> q and b -> p
     b = tail[g]
-    uvs = surface.uvs[half_edges.wedge_source]
 
     def side(p: NDArray[np.int64], middle: NDArray[np.int64], q: NDArray[np.int64]) -> tuple[NDArray, ...]:
         """Is the side real, its line and its offset from the line's start."""
@@ -46,13 +45,13 @@ def find_free_vertices(half_edges: HalfEdges, surface: TexturedSurface, toleranc
     return free
 
 
-def count_floor(half_edges: HalfEdges, surface: TexturedSurface, tolerance_uv: float) -> int:
+def count_floor(half_edges: HalfEdges, uvs: Floats, tolerance_uv: float) -> int:
     """Sum over the charts of k - 2 c, k corner wedges and Euler characteristic c; at least one face each."""
     num_faces = half_edges.num_faces
     wedges = half_edges.wedge[: 3 * num_faces]
     vertex_of_wedge = np.zeros(len(half_edges.wedge_source), np.int64)
     vertex_of_wedge[wedges] = half_edges.tail[: 3 * num_faces]
-    free = find_free_vertices(half_edges, surface, tolerance_uv)
+    free = find_free_vertices(half_edges, uvs, tolerance_uv)
     on_outline = half_edges.num_silhouettes[vertex_of_wedge] > 0
     corner = on_outline & ~free[vertex_of_wedge]
 
