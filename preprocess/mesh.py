@@ -61,8 +61,8 @@ class SkinnedMesh:
     Attributes
     ----------
     surface : TexturedSurface
-        In object space at bind pose. After loading, its uvs are the source's TEXCOORD_0 welded (empty (0, 2) uvs and
-        zero face_uvs where the file has none: see `has_uvs`); after the atlas stage, the atlas.
+        In object space at bind pose. After loading, its uvs are the source's TEXCOORD_0 welded (one uv at 0, 0
+        for all corners where the file has none: see `has_uvs`); after the atlas stage, the atlas.
     corner_normals : (F, 3, 3) float64
         Unit normals a corner, object space, from the file (or computed where it has none).
     corner_tangents : (F, 3, 4) float64 or None

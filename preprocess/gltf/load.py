@@ -21,6 +21,7 @@ from preprocess.gltf.manifold import Manifold, make_manifold
 from preprocess.gltf.materials import read_materials
 from preprocess.gltf.normals import CREASE_RAD, face_normals, smooth_corner_normals
 from preprocess.gltf.scene import Part, Scene, read_scene
+from preprocess.gltf.tangents import corner_tangents
 from preprocess.gltf.weld import (
     Soup,
     Welded,
@@ -30,7 +31,7 @@ from preprocess.gltf.weld import (
     weld_vertices,
 )
 from preprocess.mesh import Floats, SkinnedMesh, TexturedSurface
-from runtime.clip import read_clips
+from runtime.clip import Clip, read_clips
 from runtime.errors import AssetError
 from runtime.gltf import Document, read_document
 from runtime.skeleton import read_skeleton
@@ -90,8 +91,11 @@ def _stack_parts(parts: tuple[Part, ...], material_index: dict[int | None, int])
             [part.source.colors if part.source.colors is not None else one for part, one in zip(parts, white)]
         )
     tangents = None
-    if all(part.tangents is not None for part in parts):
-        tangents = np.concatenate([part.tangents for part in parts if part.tangents is not None])
+    if any(part.tangents is not None for part in parts):
+        missing = [np.full((count, 4), np.nan) for count in counts]
+        tangents = np.concatenate(
+            [part.tangents if part.tangents is not None else none for part, none in zip(parts, missing)]
+        )
     return Soup(
         positions=np.concatenate([part.positions for part in parts]),
         normals=np.concatenate([part.normals for part in parts]),
@@ -167,6 +171,22 @@ def _corner_normals(
     return corner
 
 
+def _fill_tangents(mesh: SkinnedMesh) -> SkinnedMesh:
+    """The same mesh with computed tangents where the file's are missing or unusable."""
+    if mesh.corner_tangents is None:
+        return mesh
+    own = mesh.corner_tangents
+    lengths = np.linalg.norm(own[..., :3], axis=2)
+    usable = np.logical_and.reduce(np.isfinite(own), axis=2) & (np.abs(lengths - 1) < 0.1)
+    if not usable.any():
+        return dataclasses.replace(mesh, corner_tangents=None)
+    if not usable.all():
+        computed = corner_tangents(dataclasses.replace(mesh, corner_tangents=None))
+        own = np.where(usable[..., None], own, computed)
+    handedness = np.where(own[..., 3:] < 0, -1.0, 1.0)
+    return dataclasses.replace(mesh, corner_tangents=np.concatenate([own[..., :3], handedness], axis=2))
+
+
 def _build_mesh(soup: Soup, welded: Welded, manifold: Manifold, warnings: list[str]) -> SkinnedMesh:
     """Arrays a corner and a vertex, in the order of the manifold."""
     corner_sources = np.take_along_axis(soup.faces, manifold.corners, axis=1)
@@ -193,7 +213,7 @@ def _build_mesh(soup: Soup, welded: Welded, manifold: Manifold, warnings: list[s
     if soup.tangents is not None:
         tangents = soup.tangents[corner_sources]
         tangents[manifold.corners[:, 1] == 2, :, 3] *= -1
-    return SkinnedMesh(
+    mesh = SkinnedMesh(
         surface=surface,
         corner_normals=corner_normals,
         corner_tangents=tangents,
@@ -205,6 +225,7 @@ def _build_mesh(soup: Soup, welded: Welded, manifold: Manifold, warnings: list[s
         face_parts=soup.face_parts.astype(np.int32),
         has_uvs=bool(has_uvs.all()),
     )
+    return _fill_tangents(mesh)
 
 
 def unify(
@@ -274,6 +295,13 @@ def _without_unused(soup: Soup, used: Indices) -> Soup:
     )
 
 
+def _dropped_channels(document: Document, clips: tuple[Clip, ...]) -> list[str]:
+    """What the file's animations move and the clips do not: morph weights, cameras, lights, other extensions."""
+    channels = sum(len(clip.get("channels", [])) for clip in document.items("animations"))
+    kept = sum(len(clip.tracks) for clip in clips)
+    return [f"{channels - kept} animation channels dropped: they move no joint"] if kept < channels else []
+
+
 def _load(document: Document) -> Character:
     document.require_extensions(SUPPORTED_EXTENSIONS)
     scene = read_scene(document)
@@ -289,13 +317,15 @@ def _load(document: Document) -> Character:
     )
     mesh.validate()
     skeleton = read_skeleton(document, scene.joint_nodes.tolist(), scene.inverse_bind)
+    clips = read_clips(document, skeleton)
+    warnings += _dropped_channels(document, clips)
     return Character(
         name=document.path.stem,
         source=document.path,
         source_hash=hashlib.sha256(document.path.read_bytes()).hexdigest(),
         mesh=mesh,
         skeleton=skeleton,
-        clips=read_clips(document, skeleton),
+        clips=clips,
         materials=materials,
         warnings=tuple(warnings),
     )
