@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from runtime.crowd import Crowd
     from runtime.environment import Environment, Lighting
     from runtime.gpu_asset import Model
+    from runtime.loading import Loading
     from runtime.renderer import Quality, Renderer
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "Crowd",
     "Environment",
     "Lighting",
+    "Loading",
     "MatrixCamera",
     "Model",
     "Quality",
@@ -52,6 +54,7 @@ _HOMES = {
     "Crowd": "crowd",
     "Environment": "environment",
     "Lighting": "environment",
+    "Loading": "loading",
     "Model": "gpu_asset",
     "Quality": "renderer",
     "Renderer": "renderer",

@@ -5,6 +5,7 @@ Everything is uploaded in `Model(ctx, asset)` and freed in `release()`. The call
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,7 @@ from runtime.errors import RenderError
 from runtime.gl_state import saved_state
 from runtime.patches import build_patches, seam_edges
 from runtime.programs import TESSELLATION_VERSION_CODE, require_version
-from runtime.weight_cells import build_weight_cells
+from runtime.weight_cells import WeightCells, build_weight_cells
 
 if TYPE_CHECKING:
     from runtime.actor import Actor
@@ -39,6 +40,7 @@ NUM_TEXTURE_UNITS = len(TEXTURE_UNITS)
 _DTYPES = {"uint8": "f1", "uint16": "nu2", "float16": "f2", "float32": "f4"}
 _WHITE = np.full((1, 1, 4), 255, np.uint8)
 INSTANCE = np.dtype([("rows", "<f4", (3, 4)), ("tint", "<f4", 4), ("numbers", "<i4", 2)])
+SLICE_BYTES = 1 << 20  # uploaded at a time by a model made in slices: well under a millisecond on any bus
 POSITION_FORMATS = ("unorm16", "float32")
 
 
@@ -85,24 +87,33 @@ class GpuLod:
     index_size: int
 
 
-def _upload(
+def _make_texture(
     ctx: moderngl.Context, texels: NDArray[Any], mips: tuple[NDArray[Any], ...] = (), linear: bool = True
 ) -> moderngl.Texture:
-    """A 2D texture of an array (H, W, C), clamped, with its mip levels."""
+    """A 2D texture for an array (H, W, C), clamped, with its mip levels, not yet filled."""
     kind = texels.dtype.name
     integer = {"uint16": "u2", "uint32": "u4"}
     dtype = _DTYPES[kind] if linear else integer[kind]
     height, width, channels = texels.shape
-    texture = ctx.texture((width, height), channels, np.ascontiguousarray(texels).tobytes(), alignment=1, dtype=dtype)
+    texture = ctx.texture((width, height), channels, alignment=1, dtype=dtype)
     if mips:
         texture.build_mipmaps(0, len(mips))
-        for level, data in enumerate(mips, start=1):
-            texture.write(np.ascontiguousarray(data).tobytes(), level=level, alignment=1)
         texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
     else:
         texture.filter = (moderngl.LINEAR, moderngl.LINEAR) if linear else (moderngl.NEAREST, moderngl.NEAREST)
     texture.repeat_x = texture.repeat_y = False
     return texture
+
+
+def _fill(texture: moderngl.Texture, levels: tuple[NDArray[Any], ...]) -> Iterator[None]:
+    """Write a texture's levels, some rows at a time: `SLICE_BYTES` at most, at least one row."""
+    for level, texels in enumerate(levels):
+        height, width = texels.shape[:2]
+        rows = max(1, SLICE_BYTES // max(texels[0].nbytes, 1))
+        for first in range(0, height, rows):
+            part = np.ascontiguousarray(texels[first : first + rows])
+            texture.write(part, viewport=(0, first, width, len(part)), level=level, alignment=1)
+            yield
 
 
 def _position_texels(texels: NDArray[Any], form: str) -> tuple[NDArray[Any], NDArray[np.float64], NDArray[np.float64]]:
@@ -131,6 +142,41 @@ def _groups(mesh: LodMesh, materials: tuple[MaterialData, ...]) -> tuple[DrawGro
     return tuple(groups)
 
 
+@dataclass(frozen=True)
+class Prepared:
+    """A character turned into what the GPU takes, without a context: the slow part of making a model.
+
+    Attributes
+    ----------
+    asset : Asset
+    position_texels : (H, W, 4) uint16 or float32
+    position_scale, position_offset : (3,) float64
+        Metres are texels times scale plus offset.
+    weight_cells : WeightCells
+    """
+
+    asset: Asset
+    position_texels: NDArray[Any]
+    position_scale: NDArray[np.float64]
+    position_offset: NDArray[np.float64]
+    weight_cells: WeightCells
+
+
+def prepare(asset: Asset, position_format: str = "unorm16") -> Prepared:
+    """Turn a character into what the GPU takes. Needs no context: may run in any thread.
+
+    Raises
+    ------
+    RenderError
+        If there is no such position format.
+    """
+    if position_format not in POSITION_FORMATS:
+        raise RenderError(f"no position format {position_format!r}: one of {', '.join(POSITION_FORMATS)}")
+    texels, scale, offset = _position_texels(asset.textures["position"].levels[0], position_format)
+    cells = build_weight_cells(asset.textures["weights"].levels[0], asset.weight_size)
+    return Prepared(asset, texels, scale, offset, cells)
+
+
 class Model:
     """A built character in a context: draw any number of its actors.
 
@@ -138,10 +184,13 @@ class Model:
     ----------
     ctx : moderngl.Context
         The caller's; OpenGL 3.3, or 4.1 for tessellation.
-    asset : Asset
-        From `runtime.load`.
+    asset : Asset or Prepared
+        From `runtime.load`, or `prepare` of it.
     position_format : "unorm16" or "float32"
-        How positions lie in GPU memory. 16 bits hold them to 1/131070 of the bounding box an axis.
+        How positions lie in GPU memory. 16 bits hold them to 1/131070 of the bounding box an axis. A `Prepared` has
+        its own.
+    in_slices : bool
+        Upload nothing yet: call `upload_slice` until it says that all is there (see `runtime.loading`).
 
     Raises
     ------
@@ -149,13 +198,20 @@ class Model:
         If the context is too old or was released, or the character does not fit its limits.
     """
 
-    def __init__(self, ctx: moderngl.Context, asset: Asset, *, position_format: str = "unorm16") -> None:
+    def __init__(
+        self,
+        ctx: moderngl.Context,
+        asset: Asset | Prepared,
+        *,
+        position_format: str = "unorm16",
+        in_slices: bool = False,
+    ) -> None:
         from runtime.mixer import Mixer
 
         require_alive(ctx, "model")
         require_version(ctx)
-        if position_format not in POSITION_FORMATS:
-            raise RenderError(f"no position format {position_format!r}: one of {', '.join(POSITION_FORMATS)}")
+        prepared = asset if isinstance(asset, Prepared) else prepare(asset, position_format)
+        asset = prepared.asset
         self.ctx = ctx
         self.asset = asset
         self.mixer = Mixer(asset.skeleton, asset.clips)
@@ -168,14 +224,29 @@ class Model:
         self._vertex_arrays: dict[tuple[Any, ...], moderngl.VertexArray] = {}
         self._joint_texture: moderngl.Texture | None = None
         self._instances: dict[Any, moderngl.Buffer] = {}
+        self.textures: dict[str, moderngl.Texture] = {}
+        self.lods: tuple[GpuLod, ...] = ()
         self._check_limits()
+        self._uploads: Iterator[None] | None = self._upload_all(prepared)
+        while not in_slices and self.upload_slice():
+            pass
+
+    def upload_slice(self) -> bool:
+        """Upload a little more of a model made in slices: about `SLICE_BYTES`. False when all is there."""
+        if self._released:
+            raise RenderError(f"the model {self.asset.name} was released: make a new one")
+        if self._uploads is None:
+            return False
+        require_alive(self.ctx, "model")
         try:
             with self._guard():
-                self._upload_textures(position_format)
-                self.lods = tuple(self._upload_lod(mesh) for mesh in asset.lods)
+                next(self._uploads)
+        except StopIteration:
+            self._uploads = None
         except BaseException:
             self.release()
             raise
+        return self._uploads is not None
 
     def _check_limits(self) -> None:
         limit = self.ctx.info["GL_MAX_TEXTURE_SIZE"]
@@ -194,30 +265,37 @@ class Model:
         self._owned.append(thing)
         return thing
 
-    def _upload_textures(self, position_format: str) -> None:
-        asset, ctx = self.asset, self.ctx
-        texels, scale, offset = _position_texels(asset.textures["position"].levels[0], position_format)
-        cells = build_weight_cells(asset.textures["weights"].levels[0], asset.weight_size)
+    def _upload_all(self, prepared: Prepared) -> Iterator[None]:
+        """Textures, then levels, a slice a step."""
+        asset, cells = self.asset, prepared.weight_cells
         self.weight_cells = cells
-        self.textures: dict[str, moderngl.Texture] = {
-            "position_texture": self._keep(_upload(ctx, texels)),
-            "weight_cells": self._keep(_upload(ctx, cells.first_record[:, :, None], linear=False)),
-            "weight_records": self._keep(_upload(ctx, cells.weights, linear=False)),
-            "joint_records": self._keep(_upload(ctx, cells.joints, linear=False)),
+        exact: dict[str, NDArray[Any]] = {
+            "weight_cells": cells.first_record[:, :, None],
+            "weight_records": cells.weights,
+            "joint_records": cells.joints,
         }
+        filtered: dict[str, tuple[NDArray[Any], ...]] = {"position_texture": (prepared.position_texels,)}
         for name in ("normal", "base_color", "orm", "emissive"):
-            data = asset.textures.get(name) or TextureData(name, (_WHITE,))
-            self.textures[f"{name}_texture"] = self._keep(_upload(ctx, data.levels[0], data.levels[1:]))
+            filtered[f"{name}_texture"] = (asset.textures.get(name) or TextureData(name, (_WHITE,))).levels
+        for name, levels in filtered.items():
+            self.textures[name] = self._keep(_make_texture(self.ctx, levels[0], levels[1:]))
+            yield from _fill(self.textures[name], levels)
+        for name, texels in exact.items():
+            self.textures[name] = self._keep(_make_texture(self.ctx, texels, linear=False))
+            yield from _fill(self.textures[name], (texels,))
         integer_normals = asset.textures["normal"].levels[0].dtype.kind == "u"
         self.constants: dict[str, Any] = {
-            "position_scale": tuple(scale),
-            "position_offset": tuple(offset),
+            "position_scale": tuple(prepared.position_scale),
+            "position_offset": tuple(prepared.position_offset),
             "weight_size": asset.weight_size,
             "normal_decode": (2.0, -1.0) if integer_normals else (1.0, 0.0),
             "box_min": tuple(asset.manifest.bind_bounds[0]),
             "box_size": tuple(asset.manifest.bind_bounds[1] - asset.manifest.bind_bounds[0]),
         }
-        self.decode = (scale, offset)
+        self.decode = (prepared.position_scale, prepared.position_offset)
+        for mesh in asset.lods:
+            self.lods = (*self.lods, self._upload_lod(mesh))
+            yield
 
     def _upload_lod(self, mesh: LodMesh) -> GpuLod:
         vertices = np.concatenate([mesh.uvs, mesh.owner_uvs], axis=1)
@@ -355,6 +433,10 @@ class Model:
         """
         if self._released:
             raise RenderError(f"the model {self.asset.name} was released: make a new one")
+        if self._uploads is not None:
+            raise RenderError(
+                f"the model {self.asset.name} is not uploaded yet: call upload_slice() until it says False"
+            )
         require_alive(self.ctx, "model")
 
     @property

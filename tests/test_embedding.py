@@ -6,6 +6,7 @@ import importlib.util
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -210,3 +211,41 @@ def test_importing_everything_is_quick_and_light() -> None:
         times.append(float(first.split()[0]))
     assert heavy == "[]"
     assert min(times) < 0.3
+
+
+def test_loading_in_slices_gives_the_same_model(ctx: moderngl.Context, ball: Path, target: Any) -> None:
+    renderer = runtime.Renderer(ctx)
+    at_once = runtime.Model(ctx, runtime.load(ball))
+    renderer.draw([at_once.actor(clip=0)], CAMERA)
+    wanted = target.read()
+    loading = runtime.Loading(ctx, ball)
+    steps, model = 0, None
+    while model is None:
+        model = loading.step(budget_s=0.0)
+        steps += 1
+        time.sleep(0.001)
+    assert steps > 8 and loading.step() is model
+    target.clear(depth=1.0)
+    renderer.draw([model.actor(clip=0)], CAMERA)
+    assert target.read() == wanted
+    for thing in (loading, loading, at_once, renderer):
+        thing.release()
+
+
+def test_a_model_in_slices_refuses_to_draw_before_it_is_whole(ctx: moderngl.Context, ball: Path, target: Any) -> None:
+    model = runtime.Model(ctx, runtime.load(ball), in_slices=True)
+    assert model.upload_slice()
+    with pytest.raises(runtime.RenderError, match="not uploaded yet"):
+        model.actor(clip=0)
+    model.release()
+    with pytest.raises(runtime.RenderError, match="released"):
+        model.upload_slice()
+
+
+def test_loading_a_bad_folder_is_told(ctx: moderngl.Context, tmp_path: Path) -> None:
+    loading = runtime.Loading(ctx, tmp_path)
+    for _ in range(2):
+        with pytest.raises(runtime.AssetError, match="manifest"):
+            while loading.step() is None:
+                time.sleep(0.001)
+    loading.release()
