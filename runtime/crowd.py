@@ -31,6 +31,7 @@ from runtime.programs import assemble, build_program
 from runtime.views import CrowdFrame
 
 Floats = NDArray[np.floating[Any]]
+_ViewKey = tuple[str, str | None]
 
 # The nearest row is taken at levels whose error is so many times what the rounding in time may move a point.
 ROUNDING_MARGIN = 4.0
@@ -98,8 +99,8 @@ class Crowd:
         self.last_counts: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
         self._released = False
         self._owned: list[Any] = []
-        self._programs: dict[tuple[str, bool, bool], moderngl.Program] = {}
-        self._vertex_arrays: dict[tuple[str, int], moderngl.VertexArray] = {}
+        self._programs: dict[tuple[_ViewKey, bool, bool], moderngl.Program] = {}
+        self._vertex_arrays: dict[tuple[_ViewKey, int], moderngl.VertexArray] = {}
         self._instances: moderngl.Buffer | None = None
         try:
             units = (*range(len(TEXTURE_UNITS)), ctx.default_texture_unit)
@@ -307,6 +308,8 @@ class Crowd:
         if not self.visible or not self.count:
             return
         self._require_usable()
+        if frame.level is not None and not 0 <= frame.level < len(self._levels):
+            raise RenderError(f"the crowd has no level of detail {frame.level}: auto or 0 to {len(self._levels) - 1}")
         selection = self.stage.select(
             frame.camera, frame.height_px, self.errors_m, self._nearest_row, frame.threshold_px, frame.level
         )
@@ -350,7 +353,7 @@ class Crowd:
             array.render(moderngl.TRIANGLES, vertices=3 * group.count, first=3 * group.first, instances=count)
 
     def _program(self, frame: CrowdFrame, level: CrowdLevel) -> moderngl.Program:
-        key = (frame.view_name, level.nearest_row, level.eight_joints)
+        key = (view_key(frame), level.nearest_row, level.eight_joints)
         if key not in self._programs:
             defines: dict[str, str | int] = {**frame.defines, **frame.view.defines}
             if level.nearest_row:
@@ -370,7 +373,7 @@ class Crowd:
         return program
 
     def _vertex_array(self, frame: CrowdFrame, program: moderngl.Program, number: int) -> moderngl.VertexArray:
-        key = (frame.view_name, number)
+        key = (view_key(frame), number)
         if key not in self._vertex_arrays:
             level = self._levels[number]
             assert self._instances is not None
@@ -447,6 +450,11 @@ def _small_framebuffer(ctx: moderngl.Context, gl: gl_state.Functions) -> Iterato
         color.release()
         gl.glBindFramebuffer(gl_state.DRAW_FRAMEBUFFER, drawing)
         gl.glBindFramebuffer(gl_state.READ_FRAMEBUFFER, reading)
+
+
+def view_key(frame: CrowdFrame) -> _ViewKey:
+    """What tells views apart: a caller may give another shader to a name of its own."""
+    return frame.view_name, frame.view.text
 
 
 def vertex_bytes(positions: Floats, uvs: Floats, joints: NDArray[np.uint16], weights: Floats) -> bytes:

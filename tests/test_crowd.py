@@ -245,6 +245,10 @@ def test_misuse_says_what_to_do(ctx: Any, model: Any, picture: Any, renderer: An
             wrong()
     assert (crowd.stage._rows == before).all()
     crowd.release()
+    other = Crowd(ctx, model, 1)
+    with pytest.raises(runtime.RenderError, match="no level of detail 7"):
+        picture([other], lod=7)
+    other.release()
     with pytest.raises(runtime.RenderError, match="crowd was released"):
         picture([crowd])
 
@@ -311,3 +315,17 @@ def test_the_demo_draws_a_picture_and_refuses_nonsense(ball: Path, tmp_path: Pat
     assert main([str(ball), "--clip", "fly", "--headless", "--out", str(out), "--size", "16x16"]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 2 and "--count -3" in lines[0] and "no clip 'fly'" in lines[1]
+
+
+def test_a_callers_own_view_draws_crowds_too(ctx: Any, model: Any, picture: Any, renderer: Any) -> None:
+    source = (
+        '#include "surface.glsl"\nuniform vec3 paint;\nout vec4 result;\nvoid main() { result = vec4(paint, 1.0); }\n'
+    )
+    renderer.add_view("paint", source)
+    crowd = Crowd(ctx, model, 1)
+    shown = picture([crowd], view="paint", uniforms={"paint": (1.0, 0.0, 0.0)})
+    assert (shown == [255, 0, 0]).all(axis=2).any()
+    renderer.add_view("paint", source.replace("paint, 1.0", "paint.bgr, 1.0"))
+    shown = picture([crowd], view="paint", uniforms={"paint": (1.0, 0.0, 0.0)})
+    assert (shown == [0, 0, 255]).all(axis=2).any() and not (shown == [255, 0, 0]).all(axis=2).any()
+    crowd.release()
