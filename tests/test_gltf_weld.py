@@ -238,6 +238,7 @@ def test_a_moebius_strip_is_cut_once(num_steps: int) -> None:
     assert result.num_unorientable == 1
     assert directed_edges_are_unique(result.faces)
     assert len(result.vertex_origin) == 2 * num_steps + 2  # one edge cut across the strip
+    assert result.num_turned == 0  # the strip winds one way but for one edge: there it is cut
 
 
 def test_projective_plane_ends_as_a_manifold() -> None:

@@ -18,7 +18,7 @@ from preprocess.decimate.lod import Lod
 from preprocess.gltf import Character, Material, load_character
 from preprocess.gltf.locate import face_components, locate_corners
 from preprocess.gltf.lod_mesh import build_lod_mesh, limit_influences
-from preprocess.gltf.model_glb import write_model_glb
+from preprocess.gltf.model_glb import screen_coverage, write_model_glb
 from preprocess.gltf.model_materials import describe_material, plan_draws
 from preprocess.images import Image, write_image
 from preprocess.mesh import TexturedSurface
@@ -238,6 +238,14 @@ def test_nodes_keep_their_names_and_hierarchy(tmp_path: Path) -> None:
     assert nodes[levels["human_LOD0"]]["extensions"] == {"MSFT_lod": {"ids": [levels["human_LOD1"]]}}
     assert levels["human_LOD0"] in document.items("scenes")[0]["nodes"]
     assert levels["human_LOD1"] not in document.items("scenes")[0]["nodes"]
+
+
+def test_screen_coverage_says_when_a_coarser_level_will_do() -> None:
+    lod = full_lod(load_character(asset("Fox.glb")))
+    chain = [dataclasses.replace(lod, error_m=error) for error in (0.0, 0.01, 0.02, 0.5)]
+    # A character 2.16 m across with an error of 1 cm: under a pixel below 1,080 / 5 = 216 rows, a fifth of the height.
+    assert screen_coverage(chain, 2.16) == pytest.approx([0.04, 0.01, (2.16 / 540) ** 2, 0.0])
+    assert screen_coverage([lod, lod], 2.0) == []
 
 
 def test_owner_uvs_tell_the_topology(tmp_path: Path) -> None:

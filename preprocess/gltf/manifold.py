@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import breadth_first_order, connected_components
+from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
 from preprocess.gltf.grouping import Indices, group_rows, join_pairs
 from preprocess.mesh import Floats
@@ -179,7 +179,10 @@ def _orient(half: _HalfEdges, mate: Indices, areas: Floats) -> tuple[Bools, int]
 
 
 def _spanning_turns(num_faces: int, f: Indices, g: Indices, clash: Bools, wanted: Bools) -> Bools:
-    """Turns that agree along a breadth-first tree of each wanted component; other links may disagree."""
+    """Turns that agree along a spanning tree of each wanted component; other links may disagree.
+
+    The tree takes links that agree already before those that clash, so most faces stay as they are.
+    """
     keep = wanted[f] & (f != g)
     f, g, clash = f[keep], g[keep], clash[keep]
     _, first = np.unique(np.minimum(f, g) * num_faces + np.maximum(f, g), return_index=True)
@@ -187,11 +190,13 @@ def _spanning_turns(num_faces: int, f: Indices, g: Indices, clash: Bools, wanted
     graph = coo_array(
         (np.r_[clash, clash] + 1, (np.r_[f, g], np.r_[g, f])), shape=(num_faces, num_faces), dtype=np.int8
     ).tocsr()
-    _, labels = connected_components(graph, directed=False)
+    tree = minimum_spanning_tree(graph)
+    tree = tree + tree.T
+    _, labels = connected_components(tree, directed=False)
     parent = np.arange(num_faces)
     for label in np.unique(labels[wanted]):
         root = int(np.flatnonzero(labels == label)[0])
-        order, before = breadth_first_order(graph, root, directed=False)
+        order, before = breadth_first_order(tree, root, directed=False)
         parent[order[1:]] = before[order[1:]]
     # Turns relative to the parent, then to the root by doubling the stride (pointer jumping).
     child = np.flatnonzero(parent != np.arange(num_faces))

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pygltflib import GLTF2
 
 GENERATOR = "seamskin"
+SCREEN_ROWS = 1080  # of the screen for which MSFT_screencoverage is given
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 COMPONENTS = {np.dtype(np.uint8): 5121, np.dtype(np.uint16): 5123, np.dtype(np.uint32): 5125, np.dtype("<f4"): 5126}
 TYPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
@@ -192,6 +193,20 @@ def _describe_mesh(name: str, level: LodMesh, face_draws: NDArray[np.int64], buf
     return {"name": name, "primitives": primitives}
 
 
+def screen_coverage(lods: Sequence[Lod], diagonal_m: float) -> list[float]:
+    """Share of the screen's area above which each level is wanted (MSFT_lod's hint), the finest first.
+
+    A level is left once the next one's error is under a pixel of a screen of 1,080 rows; the last is never left.
+    Empty where an error was not measured.
+    """
+    errors = np.array([lod.error_m for lod in lods[1:]])
+    if not np.isfinite(errors).all():
+        return []
+    heights = diagonal_m / (np.maximum(errors, 1e-12) * SCREEN_ROWS)
+    shares = np.minimum.accumulate(np.minimum(heights**2, 1.0))
+    return [*shares.tolist(), 0.0]
+
+
 def describe_model(
     character: Character,
     mesh: SkinnedMesh,
@@ -222,6 +237,9 @@ def describe_model(
     extensions = {key for material in materials for key in material.get("extensions", {})}
     if len(lods) > 1:
         nodes[first]["extensions"] = {"MSFT_lod": {"ids": list(range(first + 1, len(nodes)))}}
+        coverage = screen_coverage(lods, mesh.surface.diagonal_m)
+        if coverage:
+            nodes[first]["extras"] = {"MSFT_screencoverage": coverage}
         extensions.add("MSFT_lod")
     clips = [spec for spec in (_describe_clip(clip, buffer) for clip in character.clips) if spec is not None]
     buffer.finish()
