@@ -27,6 +27,9 @@ MANY_CHARTS = 1000
 MAX_ENLARGEMENT = 64.0
 """A chart is never enlarged more than this, however small it is."""
 
+HEIGHT_WEIGHT = 0.6
+"""A chart goes where its lowest row plus this many times its height is least."""
+
 TRIALS = 9
 """Scales tried at most; five usually bring the scale to within 1 % of the largest."""
 
@@ -181,14 +184,14 @@ def _drop_charts(points, first, sizes, cells, gutter, rotations):  # type: ignor
     num_charts = len(first) - 1
     offsets = np.zeros((num_charts, 2))
     turns = np.zeros(num_charts, np.int32)
-    extent = np.zeros(num_charts)
+    extent = np.ones(num_charts)  # area of the bounding box
     for c in range(num_charts):
         for axis in range(2):
             low, high = np.inf, -np.inf
             for s in range(first[c], first[c + 1]):
                 for k in range(2):
                     low, high = min(low, points[s, k, axis]), max(high, points[s, k, axis])
-            extent[c] = max(extent[c], (high - low) * sizes[c])
+            extent[c] *= (high - low) * sizes[c]
     order = np.argsort(-extent, kind="mergesort")
     depth = 2 * cells
     # Cells to the right, this one included, that are as free (positive) or taken (negative) as this one.
@@ -203,7 +206,7 @@ def _drop_charts(points, first, sizes, cells, gutter, rotations):  # type: ignor
     highest = 0
     for i in range(num_charts):
         c = order[i]
-        best_turn, best_x, best_y, best_top = -1, 0, 0, 1 << 30
+        best_turn, best_x, best_y, best_cost = -1, 0, 0, np.inf
         for turn in range(rotations):
             angle = 2 * np.pi * turn / rotations
             cosine, sine = sizes[c] * np.cos(angle), sizes[c] * np.sin(angle)
@@ -218,7 +221,7 @@ def _drop_charts(points, first, sizes, cells, gutter, rotations):  # type: ignor
             if width > cells:
                 continue
             y = 0
-            while y + rows < best_top and y + rows <= depth:
+            while y + HEIGHT_WEIGHT * rows < best_cost and y + rows <= depth:
                 possible = widest[y + wide] >= right[wide] - left[wide]
                 r = 0
                 while possible and r < rows:
@@ -243,7 +246,7 @@ def _drop_charts(points, first, sizes, cells, gutter, rotations):  # type: ignor
                     found = move == 0
                     x += move
                 if found:
-                    best_turn, best_x, best_y, best_top = turn, x, y, y + rows
+                    best_turn, best_x, best_y, best_cost = turn, x, y, y + HEIGHT_WEIGHT * rows
                     break
                 y += 1
         if best_turn < 0:
@@ -274,7 +277,7 @@ def _drop_charts(points, first, sizes, cells, gutter, rotations):  # type: ignor
             while x < cells:
                 widest[y] = max(widest[y], run[y, x])
                 x += abs(run[y, x])
-        highest = max(highest, best_top)
+        highest = max(highest, best_y + rows)
         turns[c] = best_turn
         offsets[c, 0] = best_x - corner[0] + half
         offsets[c, 1] = best_y - corner[1] + half

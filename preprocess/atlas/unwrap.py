@@ -36,6 +36,9 @@ FACES_PER_REGION = 4
 """Faces at the floor that one more region costs: two more corners, each in two faces more."""
 
 
+SMALL_MESH_SHARE = 0.4
+"""A mesh with little more faces than the floor is not cut into single triangles: charts keep a few faces each."""
+
 REFINED_SHARE = 0.95
 """Up to this share of the floor, charts that are stretched too far are split again."""
 
@@ -105,7 +108,8 @@ def unwrap(mesh: SkinnedMesh, floor_faces: int, size_px: int, gutter_px: float, 
     edges = find_edges(surface.faces)
     frames = face_frames(surface.positions, surface.faces)
     triangular = _find_small_parts(surface, edges, frames[0], floor_faces)
-    regions = _fit_regions(surface, edges, frames, triangular, BUDGET_SHARE * floor_faces)
+    budget = BUDGET_SHARE * min(floor_faces, SMALL_MESH_SHARE * mesh.num_faces)
+    regions = _fit_regions(surface, edges, frames, triangular, budget)
     made = _lay_out(mesh, edges, regions, triangular)
     limit = mesh.num_faces
     for _ in range(REFINEMENTS):
@@ -272,11 +276,13 @@ def _split_chords(mesh: SkinnedMesh, edges: MeshEdges, layout: Layout) -> tuple[
     corner = np.zeros(len(mesh.surface.positions), bool)
     corner[layout.path_vertices[layout.path_first[:-1]]] = True
     corner[layout.path_vertices[layout.path_first[1:] - 1]] = True
-    split = apply_split(mesh, split_edges(mesh.surface, edges.vertices[chords]))
+    old = mesh.surface  # its uvs do not matter; it may have none
+    bare = TexturedSurface(old.positions, old.faces, np.zeros((1, 2)), np.zeros_like(old.face_uvs))
+    split = apply_split(mesh, split_edges(bare, edges.vertices[chords]))
     new_edges = find_edges(split.surface.faces)
     stride = len(split.surface.positions)
-    old = cut_pairs[:, 0].astype(np.int64) * stride + cut_pairs[:, 1]
-    cut = np.isin(new_edges.vertices[:, 0].astype(np.int64) * stride + new_edges.vertices[:, 1], old)
+    old_keys = cut_pairs[:, 0].astype(np.int64) * stride + cut_pairs[:, 1]
+    cut = np.isin(new_edges.vertices[:, 0].astype(np.int64) * stride + new_edges.vertices[:, 1], old_keys)
     cut |= ~new_edges.glued
     extra = np.zeros(stride, bool)
     extra[: len(corner)] = corner
