@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from runtime import gl_state
 from runtime.actor import joint_boxes_of
 from runtime.clip import Clip
-from runtime.crowd_bake import bake_clips, pick_joints
+from runtime.crowd_bake import MAX_ROWS, bake_clips, pick_joints
 from runtime.crowd_stage import INSTANCE_WORDS, Selection, Stage
 from runtime.errors import RenderError
 from runtime.gpu_asset import TEXTURE_UNITS, DrawGroup, Model, require_alive
@@ -93,7 +93,7 @@ class Crowd:
         mixer = model.mixer
         chosen = mixer.clips if clips is None else [mixer.clips[mixer.clip_index(clip)] for clip in clips]
         boxes = joint_boxes_of(model)
-        self.baked = bake_clips(mixer.skeleton, chosen, boxes, int(ctx.info["GL_MAX_TEXTURE_SIZE"]))
+        self.baked = bake_clips(mixer.skeleton, chosen, boxes, min(MAX_ROWS, int(ctx.info["GL_MAX_TEXTURE_SIZE"])))
         self.stage = Stage(self.baked, count)
         self.visible = True
         self.last_counts: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
@@ -139,15 +139,7 @@ class Crowd:
 
     def place_on_ground(self, positions: ArrayLike, headings: ArrayLike = 0.0, which: Any = None) -> None:
         """Put actors at (A, 3) positions, metres, turned by (A,) headings about +Y, radians."""
-        numbers = self.stage.index(which)
-        angles = np.broadcast_to(np.asarray(headings, dtype=np.float64), (len(numbers),))
-        matrices = np.zeros((len(numbers), 4, 4))
-        matrices[:, 0, 0] = matrices[:, 2, 2] = np.cos(angles)
-        matrices[:, 0, 2] = np.sin(angles)
-        matrices[:, 2, 0] = -np.sin(angles)
-        matrices[:, 1, 1] = matrices[:, 3, 3] = 1
-        matrices[:, :3, 3] = np.broadcast_to(np.asarray(positions, dtype=np.float64), (len(numbers), 3))
-        self.stage.place(matrices, numbers)
+        self.stage.place_upright(positions, headings, which)
 
     def play(
         self,
@@ -237,7 +229,7 @@ class Crowd:
     def _expand(self) -> list[tuple[NDArray[np.float32], NDArray[Any], Floats]]:
         """Position, joints and weights of every level's vertices, read from the model's textures by the GPU."""
         model = self.model
-        text = assemble("crowd_expand.vert", self.ctx.version_code).text
+        text = assemble("crowd_expand.vert", self.ctx.version_code, model.shader_defines).text
         program = self.ctx.program(vertex_shader=text, varyings=("rest", "joints", "weights"))
         for name, texture in model.textures.items():
             if name in program:

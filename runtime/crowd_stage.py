@@ -110,12 +110,40 @@ class Stage:
         self._mirrored[numbers] = np.linalg.det(linear) < 0
         self.place_spheres(numbers)
 
+    def place_upright(self, positions: ArrayLike, headings: ArrayLike, which: Any = None) -> None:
+        """Put actors at (A, 3) positions, metres, turned by (A,) headings about +Y, radians: quicker than `place`.
+
+        Raises
+        ------
+        ValueError
+            When a number is not finite or the shape is wrong; nobody is moved then.
+        """
+        numbers = self.index(which)
+        places, angles = np.asarray(positions, dtype=np.float64), np.asarray(headings, dtype=np.float64)
+        if places.shape not in ((3,), (len(numbers), 3)) or angles.shape not in ((), (len(numbers),)):
+            raise ValueError(f"{len(numbers)} actors need positions (A, 3) and headings (A,), not {places.shape}")
+        if not (np.isfinite(places).all() and np.isfinite(angles).all()):
+            raise ValueError("positions and headings must be finite numbers")
+        where: Any = slice(None) if which is None else numbers
+        rows = np.zeros((len(numbers), 12), dtype=np.float32)
+        rows[:, 0] = rows[:, 10] = np.cos(angles)
+        rows[:, 2] = np.sin(angles)
+        rows[:, 8] = -rows[:, 2]
+        rows[:, 5] = 1
+        rows[:, 3:12:4] = places
+        self._rows[where] = rows
+        self._positions[where] = places
+        self._scales[where] = 1 + 1e-5
+        self._mirrored[where] = False
+        self.place_spheres(where)
+
     def place_spheres(self, numbers: Any) -> None:
         """Bring the bounding spheres of actors up to date after they moved or changed clips."""
         clips = self.clips[numbers]
         rows = self._rows[numbers].reshape(-1, 3, 4)
         local = self.baked.centres[clips]
-        self._centres[numbers] = self._positions[numbers] + (rows[:, :, :3] * local[:, None]).sum(axis=2)
+        x, y, z = (rows[:, :, axis] * local[:, axis, None] for axis in range(3))
+        self._centres[numbers] = self._positions[numbers] + (x + y + z)
         self._radii[numbers] = self.baked.radii_m[clips] * self._scales[numbers]
 
     def seen(self, camera: CameraMatrices) -> tuple[NDArray[np.int64], Floats, Floats]:
