@@ -165,12 +165,14 @@ def straighten(
     reduced = np.zeros(len(joint), bool)
     kept, fractions = np.ones(len(joint), bool), np.zeros(len(joint))
     todo = np.ones(chains.num_chains, bool)
+    guess = surface.uvs
     for round_number in range(MOST_ROUNDS):
         kept, fractions = simplify_chains(chains, joint, limits, must_keep, kept, fractions, todo)
         moved = straight_points(joint, kept, fractions)
         spoiled = find_crossing_points(chains, joint, moved, kept, apartness)
         if not spoiled.any():
-            result = _remap(surface, chains, moved, kept, most_distortion)
+            result = _remap(surface, chains, moved, kept, most_distortion, guess)
+            guess = result.uvs[: len(guess)]
             if not result.is_bad.any() or kept.all():
                 break
             bad_faces = np.unique(result.split.face_source[result.is_bad]).astype(np.int64)
@@ -187,24 +189,26 @@ def straighten(
     return _describe(surface, chains, kept, fractions, result, uv_charts[reduced_ids[reduced_ids >= 0]])
 
 
-def _remap(surface: TexturedSurface, chains: Chains, moved: Floats, kept: Bools, most_distortion: float) -> _Remapped:
-    """Split the edges that would lose their face, then move the interior."""
-    boundary = surface.uvs.copy()
-    fixed = np.zeros(len(boundary), bool)
+def _remap(
+    surface: TexturedSurface, chains: Chains, moved: Floats, kept: Bools, most_distortion: float, guess: Floats
+) -> _Remapped:
+    """Split the edges that would lose their face, then move the interior, from a guess (T, 2)."""
+    goal = guess.copy()
+    fixed = np.zeros(len(goal), bool)
     for side in range(2):
         has = chains.uv_ids[:, side] >= 0
-        boundary[chains.uv_ids[has, side]] = moved[has, 2 * side : 2 * side + 2]
+        goal[chains.uv_ids[has, side]] = moved[has, 2 * side : 2 * side + 2]
         fixed[chains.uv_ids[has, side]] = True
     edges = find_edges_on_one_run(surface, chains, kept, fixed)
     cornered = np.flatnonzero(fixed[surface.face_uvs].all(axis=1))
-    thin = cornered[relative_areas(surface, boundary, find_rest_shapes(surface))[cornered] < THIN_AREA]
+    thin = cornered[relative_areas(surface, goal, find_rest_shapes(surface))[cornered] < THIN_AREA]
     edges = np.concatenate([edges, interior_edges(surface, chains, thin)])
     split = split_edges(surface, edges)
-    added = len(split.surface.uvs) - len(fixed)
-    boundary = np.concatenate([boundary, np.zeros((added, 2))])
-    fixed = np.concatenate([fixed, np.zeros(added, bool)])
+    added = split.surface.uvs[len(fixed) :]
+    goal = np.concatenate([goal, added])
+    fixed = np.concatenate([fixed, np.zeros(len(added), bool)])
     rest = find_rest_shapes(split.surface)
-    uvs = remap_interior(split.surface, boundary, fixed, rest)
+    uvs = remap_interior(split.surface, goal, fixed, rest)
     is_folded = relative_areas(split.surface, uvs, rest) < LEAST_AREA
     shape = shape_distortions(split.surface, uvs, rest)
     is_bad = (is_folded | (shape > most_distortion)) & ~rest.was_folded

@@ -39,6 +39,7 @@ INNER_STEPS = 80  # L-BFGS iterations a step
 HISTORY = 10  # of L-BFGS
 MOST_HALVINGS = 12  # of a step that does not lower the energy
 MOST_CG_STEPS = 1000
+CG_RESIDUAL = 1e-4  # relative: the harmonic map is a smooth start, so exactness is idle
 AREA_WEIGHT = 0.25  # of keeping areas against keeping angles
 
 
@@ -158,14 +159,15 @@ def _energy(points, faces, inverse, areas, epsilon, gradient):  # type: ignore[n
     return total
 
 
-def _solve_cg(system: Any, right: Floats) -> Floats:
-    """Conjugate gradients, to a relative residual of 1e-5: it makes a starting point only, so exactness is idle.
+def _solve_cg(system: Any, right: Floats, start: Floats) -> Floats:
+    """Conjugate gradients from a start, to `CG_RESIDUAL` of the right side.
 
     NumPy's own sums, here and below, give the same bits whatever the number of threads; BLAS does not.
     """
-    solution, residual = np.zeros_like(right), right.copy()
+    solution = start.copy()
+    residual = right - system @ start
     direction, square = residual.copy(), float((residual * residual).sum())
-    goal = 1e-10 * square
+    goal = CG_RESIDUAL**2 * float((right * right).sum())
     for _ in range(MOST_CG_STEPS):
         if square <= goal:
             break
@@ -225,14 +227,14 @@ def _minimise(evaluate: Callable[[Floats], tuple[float, Floats]], x: Floats, ste
     return x, value
 
 
-def _spread_harmonically(surface: TexturedSurface, displacement: Floats, fixed: Bools, rest: RestShapes) -> Floats:
+def _spread_harmonically(surface: TexturedSurface, displacement: Floats, fixed: Bools) -> Floats:
     """Harmonic extension of the fixed vertices' displacement into the interior, (T, 2) float64.
 
-    Solves L_ii d_i = -L_if d_f with the cotangent Laplacian of the rest shapes, clipped to positive weights.
+    Solves L_ii d_i = -L_if d_f with the cotangent Laplacian of the present uvs, clipped to positive weights, from the
+    displacements given for the interior.
     """
-    moving = (displacement != 0.0).any(axis=1)
-    if not moving.any() or fixed.all():
-        return displacement
+    if not displacement[fixed].any() or fixed.all():
+        return np.where(fixed[:, None], displacement, 0.0)
     ids = surface.face_uvs.astype(np.int64)
     corner = surface.uvs[ids]
     rows, columns, weights = [], [], []
@@ -257,8 +259,7 @@ def _spread_harmonically(surface: TexturedSurface, displacement: Floats, fixed: 
     system.setdiag(1.0)
     result = displacement.copy()
     for axis in range(2):
-        if right[:, axis].any():
-            result[free, axis] = scale * _solve_cg(system, scale * right[:, axis])
+        result[free, axis] = scale * _solve_cg(system, scale * right[:, axis], displacement[free, axis] / scale)
     return result
 
 
@@ -294,15 +295,15 @@ def _relax(surface: TexturedSurface, uvs: Floats, faces: NDArray[np.int64], free
     return result
 
 
-def remap_interior(surface: TexturedSurface, boundary_uvs: Floats, fixed: Bools, rest: RestShapes) -> Floats:
+def remap_interior(surface: TexturedSurface, goal_uvs: Floats, fixed: Bools, rest: RestShapes) -> Floats:
     """Move interior texture vertices after the boundary.
 
     Parameters
     ----------
     surface : TexturedSurface
         With its uvs as they were.
-    boundary_uvs : (T, 2) float64
-        Where the fixed vertices go; other rows are ignored.
+    goal_uvs : (T, 2) float64
+        Where the fixed vertices go, and a guess for the others.
     fixed : (T,) bool
         Texture vertices on the silhouette.
     rest : RestShapes
@@ -312,9 +313,8 @@ def remap_interior(surface: TexturedSurface, boundary_uvs: Floats, fixed: Bools,
     (T, 2) float64
         Without folds where the solver found such a map: see `relative_areas` and `LEAST_AREA`.
     """
-    displacement = np.where(fixed[:, None], boundary_uvs - surface.uvs, 0.0)
-    uvs = surface.uvs + _spread_harmonically(surface, displacement, fixed, rest)
-    uvs[fixed] = boundary_uvs[fixed]
+    uvs = surface.uvs + _spread_harmonically(surface, goal_uvs - surface.uvs, fixed)
+    uvs[fixed] = goal_uvs[fixed]
     used = np.zeros(len(uvs), bool)
     for _ in range(2):  # a second time with what the first one squeezed outside its patch
         area = relative_areas(surface, uvs, rest)
