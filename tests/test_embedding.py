@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -35,10 +37,23 @@ def read_pixels(path: Path) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def pictures(ball: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
+def display() -> Iterator[str]:
+    """A virtual X display of our own."""
+    server = shutil.which("Xvfb")
+    if server is None:
+        pytest.skip("Xvfb is not installed: the windowing examples need a display")
+    command = [server, "-displayfd", "1", "-screen", "0", "640x480x24", "-nolisten", "tcp"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        assert process.stdout is not None
+        number = process.stdout.readline().strip()
+        assert number, "Xvfb did not start"
+        yield f":{number}"
+        process.terminate()
+
+
+@pytest.fixture(scope="module")
+def pictures(ball: Path, display: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
     """The last frame of the scripted walk, from every toolkit that is installed."""
-    if shutil.which("xvfb-run") is None:
-        pytest.skip("xvfb-run is not installed: the windowing examples need a display")
     folder = tmp_path_factory.mktemp("windows")
     found = {}
     for toolkit in TOOLKITS:
@@ -47,8 +62,8 @@ def pictures(ball: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, 
         out = folder / f"{toolkit}.png"
         command = [sys.executable, "-m", f"demos.embed_{toolkit}", str(ball), "--size", "320x200"]
         command += ["--frames", "12", "--out", str(out)]
-        display = ["xvfb-run", "-a", "-s", "-screen 0 640x480x24"]
-        done = subprocess.run([*display, *command], cwd=ROOT, capture_output=True, text=True, timeout=240)
+        environment = {**os.environ, "DISPLAY": display}
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=240, env=environment)
         assert done.returncode == 0, done.stdout + done.stderr
         found[toolkit] = read_pixels(out)
     return found
