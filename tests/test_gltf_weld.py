@@ -113,6 +113,28 @@ def test_positions_within_rounding_weld_and_beyond_do_not(tmp_path: Path) -> Non
         assert loaded(tmp_path, positions, faces).mesh.num_vertices == vertices
 
 
+@pytest.mark.parametrize(("noise", "welds"), [(3e-7, True), (1e-3, False)])
+def test_weights_that_differ_by_rounding_weld(tmp_path: Path, noise: float, welds: bool) -> None:
+    """A soup whose copies were normalised one by one; joints in any order, equal weights among them."""
+    rng = np.random.default_rng(4)
+    builder, shape = GltfBuilder(), grid(20, 20)
+    soup = shape["faces"].reshape(-1)
+    weights = rng.dirichlet((1, 1, 1, 1), len(shape["positions"]))
+    weights[::3] = 0.25
+    weights = np.clip(weights[soup] + rng.uniform(-noise, noise, (len(soup), 4)), 0, 1)
+    shuffle = np.argsort(rng.uniform(size=weights.shape), axis=1)
+    primitive = builder.primitive(
+        shape["positions"][soup],
+        None,
+        JOINTS_0=shuffle,
+        WEIGHTS_0=np.take_along_axis(weights, shuffle, axis=1),
+    )
+    joints = [builder.node(name=f"j{k}") for k in range(4)]
+    builder.node(mesh=builder.mesh(primitive), skin=builder.skin(joints))
+    count = load_character(builder.write(tmp_path / "a.glb")).mesh.num_vertices
+    assert count == 441 if welds else count > 1000
+
+
 def test_triangles_without_area_are_removed_and_counted(tmp_path: Path) -> None:
     positions = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.5, 0, 0], [1, 0, 0]], float)
     faces = [[0, 1, 2], [0, 3, 1], [1, 4, 2], [0, 0, 2]]  # collinear; two equal points; one index twice

@@ -2,9 +2,9 @@
 
 A file repeats a vertex wherever a uv seam, a hard edge, a material or a primitive ends. Two copies are one point if
 they lie together (equal, or within WELD_REL of the character's size) and hang on the same joints with the same
-weights, so that no pose parts them; other copies, as where a rigid part only touches the body, stay apart. What makes
-copies differ otherwise stays where it belongs: uvs become texture vertices of the surface vertex, normals corner
-values. Faces that have lost their area go, and so do faces drawn twice.
+weights (to SAME_WEIGHT), so that no pose parts them; other copies, as where a rigid part only touches the body, stay
+apart. What makes copies differ otherwise stays where it belongs: uvs become texture vertices of the surface vertex,
+normals corner values. Faces that have lost their area go, and so do faces drawn twice.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from preprocess.mesh import Floats
 
 WELD_REL = 1e-6  # of the bounding diagonal: some ten roundings of a float32 position
 WELD_UV = 1e-6  # 1/1000 of a texel at 1024²
-WEIGHT_STEPS = 2**20  # weights that agree to this step are the same
+SAME_WEIGHT = 1e-5  # normalising copies one by one leaves about 1e-7; a joint that moves by 1 m moves this by 10 um
 FLAT_REL = 1e-7  # a face lower than this, of the bounding diagonal, has no area
 
 
@@ -106,6 +106,27 @@ def canonical_influences(joints: NDArray[np.int64], weights: Floats) -> tuple[ND
     return np.ascontiguousarray(joints[:, :used]), np.ascontiguousarray(weights[:, :used])
 
 
+def _weight_labels(point: Indices, joints: NDArray[np.int64], weights: Floats) -> list[Indices]:
+    """A label for each influence, (N,) each, equal for copies of a point where the joint and (nearly) the weight agree.
+
+    The copies' weights of one joint are sorted; a gap above the tolerance parts them.
+    """
+    none = joints.max(initial=0) + 1
+    joints = np.where(weights > SAME_WEIGHT, joints, none)
+    order = np.argsort(joints, axis=1, kind="stable")  # by joint: by weight, noise would swap equals
+    joints, weights = np.take_along_axis(joints, order, axis=1), np.take_along_axis(weights, order, axis=1)
+    weights = np.where(joints < none, weights, 0.0)
+    labels = []
+    for k in range(joints.shape[1]):  # a handful of influences
+        by_weight = np.lexsort((weights[:, k], joints[:, k], point))
+        p, j, w = point[by_weight], joints[by_weight, k], weights[by_weight, k]
+        new = np.r_[True, (p[1:] != p[:-1]) | (j[1:] != j[:-1]) | (w[1:] - w[:-1] > SAME_WEIGHT)]
+        label = np.empty(len(point), np.int64)
+        label[by_weight] = np.cumsum(new)
+        labels.append(label)
+    return labels
+
+
 def weld_vertices(soup: Soup, diagonal_m: float) -> Welded:
     """Find which source vertices are one surface vertex, and which uvs are one value.
 
@@ -116,9 +137,7 @@ def weld_vertices(soup: Soup, diagonal_m: float) -> Welded:
         Of the character's bounding box.
     """
     point, point_firsts = cluster_points(soup.positions, WELD_REL * diagonal_m)
-    steps = np.rint(soup.weights * WEIGHT_STEPS).astype(np.int64)
-    skin, _ = group_rows(*soup.joints.T, *steps.T)
-    vertex_of, vertex_firsts = group_rows(point, skin)
+    vertex_of, vertex_firsts = group_rows(point, *_weight_labels(point, soup.joints, soup.weights))
     uvs = soup.texcoords[:, 0] if soup.texcoords.shape[1] else np.zeros((len(point), 2))
     uv_of, uv_firsts = cluster_points(uvs, WELD_UV)
     return Welded(vertex_of, vertex_firsts, uv_of, uv_firsts, len(vertex_firsts) - len(point_firsts))
