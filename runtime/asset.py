@@ -303,6 +303,19 @@ def _read_material(spec: dict[str, Any]) -> MaterialData:
     )
 
 
+def _morton_order(uvs: NDArray[np.float32], triangles: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Order of the triangles along a Z-curve over the atlas: neighbours fetch neighbouring texels."""
+    middles = uvs[triangles].mean(axis=1)
+    cells = np.clip(middles * 1024.0, 0, 1023).astype(np.uint32)
+    code = np.zeros(len(cells), np.uint32)
+    for axis in range(2):
+        spread = cells[:, axis]
+        for shift, mask in ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
+            spread = (spread | (spread << np.uint32(shift))) & np.uint32(mask)
+        code |= spread << np.uint32(axis)
+    return np.argsort(code, kind="stable")
+
+
 def _merge_vertices(
     uvs: NDArray[np.float32], owner_uvs: NDArray[np.float32], triangles: NDArray[np.int64]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint32]]:
@@ -328,7 +341,8 @@ def _read_lod(document: Document, mesh_index: Any, where: str, error_m: float) -
     """One LOD's mesh: its primitives become draw ranges over one merged vertex list."""
     all_uvs, all_owners, all_triangles, draws = [], [], [], []
     num_vertices = first = 0
-    accessors: dict[tuple[int, int], int] = {}
+    accessors: dict[tuple[int, int], int] = {}  # first vertex of a primitive's arrays, and which arrays they are
+    owners_of: dict[tuple[int, int], int] = {}
     for primitive in document.item("meshes", mesh_index).get("primitives", []):
         attributes = primitive.get("attributes", {})
         if "TEXCOORD_0" not in attributes or "_OWNER_UV" not in attributes or "indices" not in primitive:
@@ -340,14 +354,16 @@ def _read_lod(document: Document, mesh_index: Any, where: str, error_m: float) -
                 raise AssetError(f"{where}: TEXCOORD_0 and _OWNER_UV do not fit each other: {REBUILD}")
             if not (np.isfinite(uvs).all() and np.isfinite(owners).all()):
                 raise AssetError(f"{where} has uvs that are not finite: {REBUILD}")
-            accessors[key] = num_vertices
+            accessors[key], owners_of[key] = num_vertices, len(all_owners)
             num_vertices += len(uvs)
             all_uvs.append(uvs.astype(np.float32))
             all_owners.append(owners.astype(np.float32))
         indices = document.accessor(primitive["indices"]).astype(np.int64)
         if len(indices) % 3 or (len(indices) and indices.max() >= num_vertices - accessors[key]):
             raise AssetError(f"{where} has triangles of vertices that do not exist: {REBUILD}")
-        all_triangles.append(indices.reshape(-1, 3) + accessors[key])
+        triangles = indices.reshape(-1, 3)
+        triangles = triangles[_morton_order(all_owners[owners_of[key]], triangles)]
+        all_triangles.append(triangles + accessors[key])
         draws.append(DrawRange(first, len(indices) // 3, int(primitive.get("material", -1))))
         first += len(indices) // 3
     if not first:
@@ -363,10 +379,10 @@ def _read_lods(document: Document, manifest: Manifest) -> tuple[LodMesh, ...]:
         name = entry.get("node", f"{manifest.name}_LOD{level}")
         if name not in nodes:
             raise AssetError(f"{document.path} has no mesh node {name}, which the manifest names: {REBUILD}")
-        error = float(entry.get("error_m", 0.0))
-        if not np.isfinite(error) or error < 0:
+        error = entry.get("error_m", 0.0)
+        if not isinstance(error, int | float) or not np.isfinite(error) or error < 0:
             raise AssetError(f"{document.path.parent / 'manifest.json'}: lods[{level}].error_m is {error}: {REBUILD}")
-        lods.append(_read_lod(document, nodes[name]["mesh"], f"{document.path}: {name}", error))
+        lods.append(_read_lod(document, nodes[name]["mesh"], f"{document.path}: {name}", float(error)))
     return tuple(lods)
 
 

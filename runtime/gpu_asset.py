@@ -173,7 +173,7 @@ def prepare(asset: Asset, position_format: str = "unorm16") -> Prepared:
     if position_format not in POSITION_FORMATS:
         raise RenderError(f"no position format {position_format!r}: one of {', '.join(POSITION_FORMATS)}")
     texels, scale, offset = _position_texels(asset.textures["position"].levels[0], position_format)
-    cells = build_weight_cells(asset.textures["weights"].levels[0], asset.weight_size)
+    cells = build_weight_cells(asset.textures["weights"].levels[0], asset.weight_size, asset.num_joints)
     return Prepared(asset, texels, scale, offset, cells)
 
 
@@ -271,9 +271,10 @@ class Model:
         self.weight_cells = cells
         exact: dict[str, NDArray[Any]] = {
             "weight_cells": cells.first_record[:, :, None],
-            "weight_records": cells.weights,
-            "joint_records": cells.joints,
+            "weight_records": cells.records,
         }
+        if cells.joints is not None:
+            exact["joint_records"] = cells.joints
         filtered: dict[str, tuple[NDArray[Any], ...]] = {"position_texture": (prepared.position_texels,)}
         for name in ("normal", "base_color", "orm", "emissive"):
             filtered[f"{name}_texture"] = (asset.textures.get(name) or TextureData(name, (_WHITE,))).levels
@@ -309,6 +310,11 @@ class Model:
 
     def _index_bytes(self, mesh: LodMesh, indices: NDArray[np.uint32]) -> bytes:
         return indices.astype(np.uint16 if len(mesh.uvs) <= 0xFFFF else np.uint32).tobytes()
+
+    @property
+    def shader_defines(self) -> dict[str, int]:
+        """Preprocessor definitions that this model's programs need."""
+        return {} if self.weight_cells.joints is None else {"WIDE_JOINTS": 1}
 
     def patches(self, level: int) -> moderngl.Buffer:
         """Index buffer of a level's patches, nine a triangle (made when first asked for)."""
@@ -445,7 +451,7 @@ class Model:
         size = {"uint8": 1, "f1": 1, "nu2": 2, "f2": 2, "f4": 4, "u2": 2, "u4": 4}
 
         def total(*names: str) -> int:
-            textures = [self.textures[name] for name in names]
+            textures = [self.textures[name] for name in names if name in self.textures]
             return sum(t.width * t.height * t.components * size[t.dtype] for t in textures)
 
         return {

@@ -119,7 +119,7 @@ class Renderer:
         self.last_drawn: dict[Actor, DrawnActor] = {}
         self._defines = dict(shader_defines or {})
         self._views = dict(VIEWS)
-        self._programs: dict[tuple[str, bool], moderngl.Program] = {}
+        self._programs: dict[tuple[str, bool, bool], moderngl.Program] = {}
         self._models: weakref.WeakSet[Model] = weakref.WeakSet()
         self._levels: weakref.WeakKeyDictionary[Actor, int] = weakref.WeakKeyDictionary()
         self._is_software = any(name in ctx.info["GL_RENDERER"] for name in SOFTWARE_RENDERERS)
@@ -182,26 +182,23 @@ class Renderer:
             if not fragment.is_file():
                 raise RenderError(f"no such shader file: {fragment}")
             folder, fragment = fragment.parent, fragment.read_text(encoding="utf-8")
-        for patched in (False, True):
-            self._forget_program((name, patched))
-        self._views[name] = View("", text=fragment, folder=folder, blends=blends, is_lit=True)
-
-    def _forget_program(self, key: tuple[str, bool]) -> None:
-        if key in self._programs:
+        for key in [key for key in self._programs if key[0] == name]:
             self._forget_vertex_arrays()
             self._programs.pop(key).release()
+        self._views[name] = View("", text=fragment, folder=folder, blends=blends, is_lit=True)
 
     def _forget_vertex_arrays(self) -> None:
         for model in self._models:
             model.forget_programs(id(self))
 
-    def _program(self, name: str, view: View, tessellated: bool) -> moderngl.Program:
-        key = (name, tessellated)
+    def _program(self, name: str, view: View, tessellated: bool, model: Model) -> moderngl.Program:
+        key = (name, tessellated, bool(model.shader_defines))
         if key not in self._programs:
             stages = [*(_PATCH_STAGES if tessellated else ("static.vert",))]
             if view.fragment:
                 stages.append(view.fragment)
-            program = build_program(self.ctx, stages, {**self._defines, **view.defines}, view.text, view.folder)
+            defines = {**self._defines, **view.defines, **model.shader_defines}
+            program = build_program(self.ctx, stages, defines, view.text, view.folder)
             for sampler, unit in TEXTURE_UNITS.items():
                 if sampler in program:
                     program[sampler].value = unit  # type: ignore[union-attr]
@@ -441,7 +438,7 @@ class Renderer:
         ranges = [part for part in lod.groups if blended is None or (part.material.alpha_mode == "BLEND") == blended]
         if not ranges:
             return
-        program = self._program(name, view, group.tessellated)
+        program = self._program(name, view, group.tessellated, model)
         self._bind(group, program, uniforms)
         kind = "patches" if group.tessellated else "triangles"
         array = model.vertex_array((id(self), name, group.tessellated), group.key, program, group.level, kind)
@@ -478,7 +475,7 @@ class Renderer:
             return
         if group.model.seam_lines(group.level) is None:
             return
-        program = self._program("lines", LINES, False)
+        program = self._program("lines", LINES, False, group.model)
         self._bind(group, program, uniforms)
         set_material(program, group.model.lods[group.level].groups[0].material, False)
         array = group.model.vertex_array((id(self), "lines", False), group.key, program, group.level, "seams")

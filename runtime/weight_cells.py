@@ -1,9 +1,10 @@
 """Stored joint weights rearranged for the vertex shader: one record a 2 x 2 cell of the weight map.
 
 A bilinear sample reads one cell. Its record holds a palette, the joints that any of its four texels has, and the four
-texels' weights for them: four joints and sixteen 8-bit weights, in two fetches. Where more than four joints meet,
-further records follow. Equal records are stored once; a rigid part of a character is a single one. docs/format.md has
-the measurements against dense layers and against joint lists a texel.
+texels' weights for them, in one fetch of 16 bytes: four joints, and 8-bit weights at four texels for the first three of
+them; the fourth gets what these leave of one. Where more than four joints meet, further records follow, three joints
+each. Equal cells are stored once; a rigid part of a character is a single record. docs/format.md has the measurements
+against dense layers and against joint lists a texel.
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 RECORDS_WIDTH = 1024  # records lie in rows of this many (shaders/include/skinning.glsl: RECORDS_WIDTH_LOG2)
-MORE_RECORDS = 0x8000
-MAX_JOINTS = MORE_RECORDS
+MORE_RECORDS = 255  # in place of a record's fourth joint: the next record belongs to the cell too
+NARROW_JOINTS = 255  # up to so many joints are numbered by bytes inside the records
+JOINTS_A_RECORD = 3  # with weights of their own
 
 
 @dataclass(frozen=True)
@@ -27,23 +29,24 @@ class WeightCells:
     ----------
     first_record : (H - 1, W - 1) uint16 or uint32
         Of each cell (at least 1 x 1).
-    weights : (R, 1024, 4) uint32
-        Four texels (0,0), (1,0), (0,1), (1,1), each with four 8-bit weights, the first joint's lowest.
-    joints : (R, 1024, 4) uint16
-        Palette; `MORE_RECORDS` is set in the first where the next record belongs to the cell too.
+    records : (R, 1024, 4) uint32
+        Four bytes of joints, then for each of the first three its weights at the texels (0,0), (1,0), (0,1), (1,1), a
+        byte each, the first lowest.
+    joints : (R, 1024, 4) uint16 or None
+        The joints, where there are more than bytes can number.
     max_records : int
         Most records that a cell has.
     """
 
     first_record: NDArray[Any]
-    weights: NDArray[np.uint32]
-    joints: NDArray[np.uint16]
+    records: NDArray[np.uint32]
+    joints: NDArray[np.uint16] | None
     max_records: int
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the three textures."""
-        return self.first_record.nbytes + self.weights.nbytes + self.joints.nbytes
+        """Bytes of the textures."""
+        return self.first_record.nbytes + self.records.nbytes + (0 if self.joints is None else self.joints.nbytes)
 
 
 def split_stack(stack: NDArray[Any], size: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -68,7 +71,7 @@ def _unique_rows(rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np
     return rows[first], inverse.astype(np.int64)
 
 
-def build_weight_cells(stack: NDArray[Any], size: tuple[int, int]) -> WeightCells:
+def build_weight_cells(stack: NDArray[Any], size: tuple[int, int], num_joints: int) -> WeightCells:
     """Make the records of all cells.
 
     Parameters
@@ -76,6 +79,7 @@ def build_weight_cells(stack: NDArray[Any], size: tuple[int, int]) -> WeightCell
     stack : (2 * N * H, W, 4) uint8 or uint16
         As `preprocess.weights` packs it.
     size : (W, H)
+    num_joints : int
 
     Returns
     -------
@@ -100,27 +104,31 @@ def build_weight_cells(stack: NDArray[Any], size: tuple[int, int]) -> WeightCell
     is_new &= sorted_joints < unused
     slot = np.cumsum(is_new, axis=1) - 1
     used = sorted_joints < unused
-    num_joints = is_new.sum(axis=1)
-    num_records = np.maximum(-(-num_joints // 4), 1)
+    palette_size = is_new.sum(axis=1)
+    num_records = np.maximum(-(-(palette_size - 1) // JOINTS_A_RECORD), 1)
     starts = np.concatenate([[0], np.cumsum(num_records)])
     total = int(starts[-1])
 
     rows = -(-total // RECORDS_WIDTH)
-    palettes = np.zeros((rows * RECORDS_WIDTH, 4), np.uint16)
-    packed = np.zeros((rows * RECORDS_WIDTH, 4, 4), np.uint8)  # record, texel, slot
+    palettes = np.zeros((rows * RECORDS_WIDTH, 4), np.int64)
+    packed = np.zeros((rows * RECORDS_WIDTH, 4, 4), np.uint8)  # record, word, texel; word 0 is for the joints
     cell_rows = np.broadcast_to(np.arange(len(cells))[:, None], order.shape)
-    record = starts[cell_rows] + slot // 4
-    texel_of_entry = order // slots
+    is_last = slot == (palette_size - 1)[:, None]  # the joint that gets what the others leave
+    record = starts[cell_rows] + np.where(is_last, num_records[:, None] - 1, slot // JOINTS_A_RECORD)
+    place = np.where(is_last, 3, slot % JOINTS_A_RECORD)
+    own = used & ~is_last
     entry_weights = np.take_along_axis(cell_weights, order, axis=1)
-    packed[record[used], texel_of_entry[used], slot[used] % 4] = entry_weights[used]
-    palettes[record[is_new], slot[is_new] % 4] = sorted_joints[is_new]
+    packed[record[own], 1 + place[own], (order // slots)[own]] = entry_weights[own]
+    palettes[record[is_new], place[is_new]] = sorted_joints[is_new]
     followed = np.ones(total, bool)
     followed[starts[1:] - 1] = False
-    palettes[:total, 0] |= np.where(followed, MORE_RECORDS, 0).astype(np.uint16)
+    packed[:, 0] = palettes & 255
+    packed[:total, 0, 3] = np.where(followed, MORE_RECORDS, np.minimum(palettes[:total, 3], MORE_RECORDS - 1))
+    is_wide = num_joints > NARROW_JOINTS
     first = starts[cell_of].reshape(four.shape[:2])
     return WeightCells(
         first_record=first.astype(np.uint16 if total <= 0xFFFF else np.uint32),
-        weights=packed.view("<u4").reshape(rows, RECORDS_WIDTH, 4).astype(np.uint32, copy=False),
-        joints=palettes.reshape(rows, RECORDS_WIDTH, 4),
+        records=packed.view("<u4").reshape(rows, RECORDS_WIDTH, 4).astype(np.uint32, copy=False),
+        joints=palettes.astype(np.uint16).reshape(rows, RECORDS_WIDTH, 4) if is_wide else None,
         max_records=int(num_records.max()),
     )

@@ -14,19 +14,18 @@ void main() {
     joints = vec4(0.0);
     weights = vec4(0.0);
     TexelCell cell = texel_cell(in_owner_uv, weight_size);
+    vec4 shares = texel_shares(cell.fraction);
     uint record = texelFetch(weight_cells, cell.corner, 0).r;
-    for (int number = 0; ; number++) {
-        ivec2 at = record_texel(record);
-        uvec4 palette = texelFetch(joint_records, at, 0);
+    float left = 1.0;
+    bool more = true;
+    for (int number = 0; more; number++) {
+        uvec4 its_joints;
+        vec4 its_weights;
+        more = read_record(record + uint(number), shares, left, its_joints, its_weights);
         if (number == record_number) {
-            uvec4 four = texelFetch(weight_records, at, 0);
-            weights = blend_cell(unpack_weights(four.x), unpack_weights(four.y), unpack_weights(four.z),
-                                 unpack_weights(four.w), cell.fraction);
-            joints = vec4(uvec4(palette.x & (MORE_RECORDS - 1u), palette.yzw));
-            break;
+            joints = vec4(its_joints);
+            weights = its_weights;
         }
-        if (palette.x < MORE_RECORDS) break;
-        record += 1u;
     }
     gl_Position = vec4(0.0);
 }

@@ -178,7 +178,7 @@ def captured_points(
     program = capture_program(ctx, defines)
     program["Points"].binding = 3
     program["Frame"].binding = 0
-    renderer._programs["mask", True] = program
+    renderer._programs["mask", True, False] = program
     for sampler, unit in TEXTURE_UNITS.items():
         if sampler in program:
             program[sampler].value = unit

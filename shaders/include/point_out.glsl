@@ -23,17 +23,15 @@ vec3 joint_color(uint joint) {
 
 vec3 blend_joint_colors(vec2 uv) {
     TexelCell cell = texel_cell(uv, weight_size);
+    vec4 shares = texel_shares(cell.fraction);
     uint record = texelFetch(weight_cells, cell.corner, 0).r;
     vec3 color = vec3(0.0);
+    float left = 1.0;
     bool more = true;
     while (more) {
-        ivec2 at = record_texel(record);
-        uvec4 joints = texelFetch(joint_records, at, 0);
-        uvec4 four = texelFetch(weight_records, at, 0);
-        vec4 weights = blend_cell(unpack_weights(four.x), unpack_weights(four.y), unpack_weights(four.z),
-                                  unpack_weights(four.w), cell.fraction);
-        more = joints.x >= MORE_RECORDS;
-        joints.x &= MORE_RECORDS - 1u;
+        uvec4 joints;
+        vec4 weights;
+        more = read_record(record, shares, left, joints, weights);
         color += joint_color(joints.x) * weights.x + joint_color(joints.y) * weights.y
                + joint_color(joints.z) * weights.z + joint_color(joints.w) * weights.w;
         record += 1u;

@@ -1,9 +1,9 @@
 // A point of the animated surface from its place in the atlas (paper, sections 7 and 8).
 //
-// Positions are one bilinear sample. Joint weights come in records a 2 x 2 cell of the weight map: a palette of four
-// joints, and the weights of these joints at the cell's four texels. Most cells need one record; where more joints
-// meet, further records follow. All four texels of a cell share its palette, so the blend is exact, with any number
-// of joints, and continuous from cell to cell.
+// Positions are one bilinear sample. Joint weights come in records a 2 x 2 cell of the weight map (runtime/weight_cells.py):
+// a palette of joints, and the weights of these at the cell's four texels. All four texels share the palette, so the
+// blend is exact, with any number of joints, and continuous from cell to cell. A record is one fetch: three joints with
+// their weights, and the last of a cell's records names one more joint, to which goes what the others left of one.
 #ifndef SKINNING_GLSL
 #define SKINNING_GLSL
 
@@ -13,8 +13,10 @@ uniform sampler2D position_texture;
 uniform vec3 position_scale;           // metres = texel * scale + offset
 uniform vec3 position_offset;
 uniform usampler2D weight_cells;       // number of the first record of each cell
-uniform usampler2D weight_records;     // four texels, each four 8-bit weights
-uniform usampler2D joint_records;      // four joints; MORE_RECORDS is set in the first where another record follows
+uniform usampler2D weight_records;     // four bytes of joints, then for three joints a byte a texel
+#ifdef WIDE_JOINTS
+uniform usampler2D joint_records;      // the joints where a byte is too few
+#endif
 uniform ivec2 weight_size;             // of the weight map, texels
 #ifdef JOINTS_IN_BLOCK
 layout(std140) uniform Joints { vec4 joint_block[JOINT_BLOCK_ROWS]; };
@@ -22,7 +24,7 @@ layout(std140) uniform Joints { vec4 joint_block[JOINT_BLOCK_ROWS]; };
 uniform sampler2D joint_texture;       // three rows of a matrix a joint along x, one pose a row
 #endif
 
-const uint MORE_RECORDS = 0x8000u;
+const uint MORE_RECORDS = 255u;        // in place of the fourth joint: further records follow
 const int RECORDS_WIDTH_LOG2 = 10;     // records are stored in rows of 1024
 
 // Matrices of 3 rows and 4 columns are held as mat3x4, a row of mathematics in each of its three vec4.
@@ -52,24 +54,46 @@ ivec2 record_texel(uint record) {
     return ivec2(int(record) & ((1 << RECORDS_WIDTH_LOG2) - 1), int(record) >> RECORDS_WIDTH_LOG2);
 }
 
+// What the four texels of a cell, (0,0), (1,0), (0,1), (1,1), count at a place in it.
+vec4 texel_shares(vec2 fraction) {
+    vec2 onwards = 1.0 - fraction;
+    PRECISE vec4 shares = vec4(onwards.x, fraction.x, onwards.x, fraction.x)
+                        * vec4(onwards.y, onwards.y, fraction.y, fraction.y);
+    return shares;
+}
+
+// Read a record: its four joints with their weights. `left` is what they leave of one, and whether more records follow
+// is the result. Before the last record the fourth joint is none and its weight zero.
+bool read_record(uint record, vec4 shares, inout float left, out uvec4 joints, out vec4 weights) {
+    ivec2 at = record_texel(record);
+    uvec4 words = texelFetch(weight_records, at, 0);
+    PRECISE vec3 given = vec3(
+        dot(unpack_weights(words.y), shares), dot(unpack_weights(words.z), shares), dot(unpack_weights(words.w), shares));
+    PRECISE float after = left - (given.x + given.y + given.z);
+    left = after;
+    joints = (uvec4(words.x) >> uvec4(0u, 8u, 16u, 24u)) & 255u;
+    bool more = joints.w == MORE_RECORDS;
+#ifdef WIDE_JOINTS
+    joints = texelFetch(joint_records, at, 0);
+#else
+    joints.w = more ? 0u : joints.w;
+#endif
+    weights = vec4(given, more ? 0.0 : after);
+    return more;
+}
+
 // The joints' matrices blended with the weights at a place of the atlas (linear blend skinning).
 mat3x4 blend_joints(vec2 uv, int pose) {
     TexelCell cell = texel_cell(uv, weight_size);
+    vec4 shares = texel_shares(cell.fraction);
     uint record = texelFetch(weight_cells, cell.corner, 0).r;
     PRECISE mat3x4 blended = mat3x4(0.0);
+    float left = 1.0;
     bool more = true;
     while (more) {
-        ivec2 at = record_texel(record);
-        uvec4 joints = texelFetch(joint_records, at, 0);
-        uvec4 packed_weights = texelFetch(weight_records, at, 0);
-        vec4 weights = blend_cell(
-            unpack_weights(packed_weights.x),
-            unpack_weights(packed_weights.y),
-            unpack_weights(packed_weights.z),
-            unpack_weights(packed_weights.w),
-            cell.fraction);
-        more = joints.x >= MORE_RECORDS;
-        joints.x &= MORE_RECORDS - 1u;
+        uvec4 joints;
+        vec4 weights;
+        more = read_record(record, shares, left, joints, weights);
         blended += joint_matrix(int(joints.x), pose) * weights.x;
         blended += joint_matrix(int(joints.y), pose) * weights.y;
         blended += joint_matrix(int(joints.z), pose) * weights.z;
