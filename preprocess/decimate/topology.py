@@ -197,7 +197,7 @@ def build_half_edges(surface: TexturedSurface) -> tuple[HalfEdges, Repairs]:
     source_uv = np.ascontiguousarray(surface.face_uvs[kept].ravel())
     num_used = len(np.unique(source_vertex))
 
-    twin, broken_half_edges = _pair(source_vertex, len(surface.positions))
+    twin, num_broken = _pair(source_vertex, len(surface.positions))
     tail, vertex_corner = _label_fans(source_vertex, twin)
     paired = twin >= 0
     corner = np.arange(3 * num_faces)
@@ -233,7 +233,7 @@ def build_half_edges(surface: TexturedSurface) -> tuple[HalfEdges, Repairs]:
             degenerate_faces=num_degenerate,
             duplicate_faces=num_duplicate,
             isolated_vertices=len(surface.positions) - num_used,
-            split_edges=(broken_half_edges + 1) // 2,
+            split_edges=num_broken,
             split_vertices=num_vertices - num_used,
         ),
     )

@@ -1,0 +1,123 @@
+"""OBJ files in and out: separate indices survive, odd files are read, bad ones refused in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from preprocess.errors import InputError
+from preprocess.obj import read_obj, read_surface, weld_texture_vertices, write_obj
+from preprocess.seams import find_seams
+from tests.builders_decimate import box, two_strips
+
+TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "mesh.obj"
+    path.write_bytes(text.encode())
+    return path
+
+
+def test_round_trip_is_exact(tmp_path: Path) -> None:
+    surface = box(3)
+    write_obj(tmp_path / "a.obj", surface)
+    again = read_obj(tmp_path / "a.obj")
+    np.testing.assert_array_equal(again.positions, surface.positions)
+    np.testing.assert_array_equal(again.faces, surface.faces)
+    np.testing.assert_array_equal(again.face_uvs, surface.face_uvs)
+    np.testing.assert_allclose(again.uvs, surface.uvs, rtol=0, atol=1e-15)  # 1 - (1 - v)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.obj"]
+
+
+def test_v_is_turned_down(tmp_path: Path) -> None:
+    surface = read_obj(write(tmp_path, TRIANGLE + "f 1/1 2/2 3/3\n"))
+    np.testing.assert_array_equal(surface.uvs, [[0, 1], [1, 1], [0, 0]])
+
+
+@pytest.mark.parametrize(
+    "faces",
+    [
+        "f 1/1 2/2 3/3\n",
+        "f 1/1/1 2/2/1 3/3/1\n",
+        "f -3/-3 -2/-2 -1/-1\n",
+        "f 1/1\t2/2 \\\n 3/3\n",
+        "  f   1/1 2/2 3/3  \r\n# comment\nusemtl x\ng y\n",
+    ],
+)
+def test_spellings_of_one_triangle(tmp_path: Path, faces: str) -> None:
+    surface = read_obj(write(tmp_path, TRIANGLE + "vn 0 0 1\n" + faces))
+    assert surface.faces.tolist() == [[0, 1, 2]] == surface.face_uvs.tolist()
+
+
+def test_negative_indices_count_from_their_own_line(tmp_path: Path) -> None:
+    text = TRIANGLE + "f -3/-3 -2/-2 -1/-1\n" + "v 5 0 0\nv 6 0 0\nv 5 1 0\n" + "f -3/-3 -2/-2 -1/-1\n"
+    assert read_obj(write(tmp_path, text)).faces.tolist() == [[0, 1, 2], [3, 4, 5]]
+
+
+def test_polygons_become_fans_and_colours_are_ignored(tmp_path: Path) -> None:
+    text = "v 0 0 0 1 0 0\nv 1 0 0 1 0 0\nv 1 1 0 1 0 0\nv 0 1 0 1 0 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
+    surface = read_obj(write(tmp_path, text + "f 1/1 2/2 3/3 4/4\n"))
+    assert surface.faces.tolist() == [[0, 1, 2], [0, 2, 3]]
+    assert surface.positions[2].tolist() == [1, 1, 0]
+
+
+def test_repeated_uvs_are_one_texture_vertex_and_shared_ones_are_split(tmp_path: Path) -> None:
+    """Two triangles with uvs written corner by corner: equal values at one vertex are no seam."""
+    text = TRIANGLE + "v 1 1 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3\nf 2/4 4/5 3/6\n"
+    surface = read_obj(write(tmp_path, text))
+    assert len(surface.uvs) == 4
+    assert not len(find_seams(surface).vertices)
+    # Two separate triangles that use the same three vt: each vertex gets a texture vertex of its own.
+    text = TRIANGLE + "v 5 0 0\nv 6 0 0\nv 5 1 0\nf 1/1 2/2 3/3\nf 4/1 5/2 6/3\n"
+    assert len(read_obj(write(tmp_path, text)).uvs) == 6
+
+
+def test_weld_keeps_seams() -> None:
+    surface = two_strips()
+    uvs, face_uvs = weld_texture_vertices(surface.faces, surface.uvs, surface.face_uvs)
+    np.testing.assert_array_equal(uvs[face_uvs], surface.uvs[surface.face_uvs])
+    assert len(uvs) == len(surface.uvs)
+    empty_uvs, empty_faces = weld_texture_vertices(np.zeros((0, 3), np.int32), surface.uvs, np.zeros((0, 3), np.int32))
+    assert empty_uvs.shape == (0, 2) and empty_faces.shape == (0, 3)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "no faces"),
+        (TRIANGLE, "no faces"),
+        (TRIANGLE + "f 1 2 3\n", "no texture coordinates"),
+        (TRIANGLE + "vn 0 0 1\nf 1//1 2//1 3//1\n", "no texture coordinates"),
+        (TRIANGLE + "f 1/1 2/2\n", "line 7: a face needs three corners"),
+        (TRIANGLE + "f 1/1 2/2 9/3\n", "vertex 9 does not exist"),
+        (TRIANGLE + "f 1/1 2/2 3/9\n", "texture vertex 9 does not exist"),
+        (TRIANGLE + "f -9/1 2/2 3/3\n", "vertex -9 does not exist"),
+        (TRIANGLE + "f a/1 2/2 3/3\n", "no number"),
+        ("v 0 0\n" + TRIANGLE + "f 1/1 2/2 3/3\n", "line 1: 'v' needs 3 numbers"),
+        ("v nan 0 0\n" + TRIANGLE + "f 1/1 2/2 3/3\n", "line 1: 1 'v' lines are not finite"),
+        ("vt 0 inf\n" + TRIANGLE + "f 1/1 2/2 3/3\n", "not finite"),
+        ("\0\1\2" + TRIANGLE, "binary"),
+    ],
+)
+def test_bad_files_are_refused_in_one_line(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(InputError, match=words) as refusal:
+        read_obj(write(tmp_path, text))
+    assert "\n" not in str(refusal.value)
+
+
+def test_missing_files_and_other_kinds(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be read"):
+        read_surface(tmp_path / "none.obj")
+    with pytest.raises(InputError, match="neither OBJ nor glTF"):
+        read_surface(tmp_path / "mesh.stl")
+    with pytest.raises(InputError, match="cannot be written"):
+        write_obj(tmp_path / "nowhere" / "a.obj", box(1))
+
+
+def test_blub(asset_path) -> None:  # type: ignore[no-untyped-def]
+    surface = read_surface(asset_path("blub.obj"))
+    assert (len(surface.positions), len(surface.uvs), len(surface.faces)) == (7106, 7317, 14208)
+    assert len(find_seams(surface).vertices) == 208
