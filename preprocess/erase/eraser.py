@@ -20,7 +20,16 @@ from preprocess.erase.grid import Grid, build_grid, spread_change
 from preprocess.erase.intervals import Intervals, split_edges
 from preprocess.erase.quantise import round_strip
 from preprocess.erase.region import Region, find_region, silhouette_ends, silhouette_lines
-from preprocess.erase.solve import GRADIENT_MASS, Factor, factorise, grid_matrix, outside_force, solve_change
+from preprocess.erase.solve import (
+    BOUND_TOLERANCE_REL,
+    GRADIENT_MASS,
+    Factor,
+    factorise,
+    grid_matrix,
+    outside_force,
+    solve_bounded,
+    solve_change,
+)
 from preprocess.erase.strip import SeamMeasure, SeamStrip, build_strip, measure_intervals
 from preprocess.erase.terms import (
     inward_normals,
@@ -43,6 +52,10 @@ PENALTY = 1e13
 # Mean squared jump of the solution, relative to the squared range of each channel's values. Nearly always met at the
 # first solution, which then does not depend on what other channels are solved with it.
 TOLERANCE_REL = 2e-12
+
+# Jump of stored integers, in steps, above which the solution is sought within the range from the start: rounding a
+# solution that was cut off at its ends costs less but does not always succeed.
+MAX_STORED_JUMP = 0.48
 
 # Change below this fraction of the values' range is not carried out to the squares' texels.
 NEGLIGIBLE_REL = 1e-7
@@ -169,7 +182,14 @@ class Eraser:
     rows: dict[str, sparse.csr_array] = field(default_factory=dict)
     value_scale: Floats | None = None
 
-    def erase(self, texels: Floats, *, sample_values: Floats | None = None, end_values: Floats | None = None) -> Erased:
+    def erase(
+        self,
+        texels: Floats,
+        *,
+        sample_values: Floats | None = None,
+        end_values: Floats | None = None,
+        bounds: tuple[float, float] | None = None,
+    ) -> Erased:
         """Erase the seams of one texture.
 
         Parameters
@@ -180,6 +200,8 @@ class Eraser:
         end_values : (E, 2, C) float, optional
             With seam_value "lerp": values at the ends of every silhouette edge (seam sides, boundaries, foldovers);
             by default the texture's own there, the mean over a surface vertex's uv images.
+        bounds : (float, float), optional
+            Range to stay in. Texels that seams read are solved for within it (to 1e-5 of the values' range).
 
         Returns
         -------
@@ -190,12 +212,16 @@ class Eraser:
         ValueError
             If the size is not the planned one or a texel is not finite.
         """
-        solution = self._solve(texels, 1.0, sample_values, end_values)
+        solution = self._solve(texels, 1.0, sample_values, end_values, bounds)
         result = np.array(texels, np.float64, order="C", copy=True)
         flat = result.reshape(-1, result.shape[2])
         for where, change in spread_change(self.grid, solution.change, solution.negligible):
             flat[where] += change
-        flat[self.grid.nodes] = solution.values + solution.change
+        nodes, values = self.grid.nodes, solution.values + solution.change
+        flat[nodes] = values
+        if bounds is not None:
+            np.clip(flat, *bounds, out=flat)
+            flat[self.strip.texels] = values[self.grid.node_of(self.strip.texels)]
         return Erased(result, solution.before, solution.after, solution.repeats)
 
     def erase_stored(self, stored: NDArray[Any], *, end_values: Floats | None = None) -> Erased:
@@ -214,8 +240,18 @@ class Eraser:
         Erased
             `before` and `after` are of the values in [0, 1] that the integers stand for.
         """
+        erased, worst = self._store(stored, end_values, None)
+        if worst > MAX_STORED_JUMP:
+            logger.info("erase: rounding leaves a jump of %.2f steps: solving again within the range", worst)
+            erased, worst = self._store(stored, end_values, (0.0, 1.0))
+        return erased
+
+    def _store(
+        self, stored: NDArray[Any], end_values: Floats | None, bounds: tuple[float, float] | None
+    ) -> tuple[Erased, float]:
+        """Erased integers, and their largest jump in steps."""
         levels = int(np.iinfo(stored.dtype).max)
-        solution = self._solve(stored, 1.0 / levels, None, end_values)
+        solution = self._solve(stored, 1.0 / levels, None, end_values, bounds)
         result = np.array(stored, order="C", copy=True)
         flat = result.reshape(-1, result.shape[2])
         for where, change in spread_change(self.grid, solution.change, max(solution.negligible, 0.25 / levels)):
@@ -223,10 +259,13 @@ class Eraser:
         nodes = self.grid.nodes
         values = solution.values + solution.change
         flat[nodes] = np.clip(np.rint(values * levels), 0, levels)
+        worst = 0.0
         if self.factor is not None:
             strip = self.strip
-            flat[strip.texels] = round_strip(values[self.grid.node_of(strip.texels)], strip, levels)
-        return Erased(result, solution.before, solution.after, solution.repeats)
+            rounded = round_strip(values[self.grid.node_of(strip.texels)], strip, levels)
+            worst = float(np.abs(strip.rows @ rounded).max(initial=0.0))
+            flat[strip.texels] = rounded
+        return Erased(result, solution.before, solution.after, solution.repeats), worst
 
     @cached_property
     def strip(self) -> SeamStrip:
@@ -238,7 +277,12 @@ class Eraser:
         return measure_intervals(texels, self.intervals, self.lengths_m)
 
     def _solve(
-        self, texels: NDArray[Any], scale: float, sample_values: Floats | None, end_values: Floats | None
+        self,
+        texels: NDArray[Any],
+        scale: float,
+        sample_values: Floats | None,
+        end_values: Floats | None,
+        bounds: tuple[float, float] | None,
     ) -> Solution:
         """Change of the nodes for texels times scale."""
         height, width, channels = texels.shape
@@ -259,6 +303,8 @@ class Eraser:
         jump = self.jump @ values
         tolerance = TOLERANCE_REL if self.options.seam_weight is None else np.inf
         free, after, repeats = solve_change(self.factor, force / span, jump / span, tolerance)
+        if bounds is not None:
+            free, after = self._keep_range(force / span, jump / span, free, after, values / span, bounds, span)
         return Solution(
             values=values,
             change=interpolation @ (free * span),
@@ -267,6 +313,32 @@ class Eraser:
             repeats=repeats,
             negligible=NEGLIGIBLE_REL * float(span.max()),
         )
+
+    def _keep_range(
+        self,
+        force: Floats,
+        jump: Floats,
+        free: Floats,
+        after: Floats,
+        values: Floats,
+        bounds: tuple[float, float],
+        span: Floats,
+    ) -> tuple[Floats, Floats]:
+        """Solve again within the range where a texel that seams read has left it."""
+        assert self.factor is not None
+        on_seam = self.grid.node_of(self.strip.texels)
+        # Such nodes are free: squares, where nodes hang, begin further away.
+        unknowns = self.grid.interpolation[on_seam].indices.astype(np.int64)
+        assert len(unknowns) == len(on_seam)
+        lower, upper = bounds[0] / span - values[on_seam], bounds[1] / span - values[on_seam]
+        start = free[unknowns]
+        if max((lower - start).max(initial=0.0), (start - upper).max(initial=0.0)) <= BOUND_TOLERANCE_REL:
+            return free, after
+        free, excess = solve_bounded(self.factor, force, jump, free, unknowns, lower, upper)
+        if excess > 100 * BOUND_TOLERANCE_REL:
+            logger.warning("erase: the solution leaves its range by %.1e near seams", excess)
+        left = jump + self.factor.jump @ free
+        return free, np.einsum("rc,rc->c", left, left)
 
     def _targets(
         self, values: Floats, sample_values: Floats | None, end_values: Floats | None
@@ -330,9 +402,9 @@ def _reaches(weights: Weights, num_inside: int) -> tuple[int, int]:
     change by up to 0.7: no texel inside differs from the full grid's by more than 0.8/255 (local) or 1/255 (global).
     """
     fading_px = np.sqrt(weights.inside_gradient * GRADIENT_MASS * max(num_inside, 1) / max(weights.change, 1e-12))
-    if fading_px < 6:
-        return 4, 3
-    return (4, 4) if fading_px < 14 else (6, 5)
+    if weights.change < 1e3 or fading_px > 14:
+        return 6, 5
+    return (4, 3) if fading_px < 6 else (4, 4)
 
 
 def plan_erasure(

@@ -67,6 +67,8 @@ class Grid:
     def node_of(self, texels: NDArray[np.int64]) -> NDArray[np.int64]:
         """Node of each texel; every texel must be one."""
         found = np.searchsorted(self.nodes, texels)
+        if not len(texels):
+            return found
         assert (self.nodes[np.minimum(found, len(self.nodes) - 1)] == texels).all()
         return found
 

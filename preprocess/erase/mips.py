@@ -152,11 +152,11 @@ def erase_mips(
         if (w, h) not in plans:
             plans[w, h] = plan_erasure(surface, seams, w, h, options)
         plan = plans[w, h]
-        erased = plan.erase(current)
+        erased = plan.erase(current, bounds=(0.0, 1.0) if levels else None)
         result = quantise(erased.texels, plan.strip, levels) if levels else erased.texels
         after = plan.measure(erased.texels)
         stored = plan.measure(result / float(levels)) if levels else after
         chain.append(Level(result, plan.measure(current), after, stored))
-        current = np.clip(erased.texels, 0, 1) if levels else erased.texels
+        current = erased.texels
         used = plan.region.used
     return tuple(chain)

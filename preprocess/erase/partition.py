@@ -18,7 +18,7 @@ from preprocess.erase.strip import SeamStrip
 from preprocess.mesh import Floats
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _round_to_total(values, total, stored):
     """Round every row to whole numbers that sum to total: down, then up where the remainders are largest."""
     num_channels = values.shape[1]
@@ -45,22 +45,27 @@ def _round_to_total(values, total, stored):
             missing -= 1.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _search_pairs(
-    texel_at, texels, texel_weight, point_at, points, point_weight, weights, wanted, stored, top, settings
+    texel_at,
+    texels,
+    point_at,
+    points,
+    point_weight,
+    weights,
+    wanted,
+    stored,
+    jump,
+    peaks,
+    queue,
+    waiting,
+    top,
+    settings,
 ):
     """Move stored integers (C, N; changed in place) between channels until no jump exceeds the limit or none helps."""
-    tolerated, peak, stay, limit, growth, max_rounds = settings
+    tolerated, stay, limit, growth, max_rounds = settings
     num_channels, num_texels = stored.shape
     num_points = len(weights)
-    jump = np.zeros((num_channels, num_points))
-    peaks = np.full((num_channels, num_points), peak)
-    for c in range(num_channels):
-        for p in range(num_points):
-            for k in range(texel_at[p], texel_at[p + 1]):
-                jump[c, p] += texel_weight[k] * stored[c, texels[k]]
-    queue = np.arange(num_texels)
-    waiting = np.ones(num_texels, np.bool_)
     head, count, visits, rounds = 0, num_texels, 0, 0
     while rounds < max_rounds and visits < 1000 * num_texels:
         if count == 0:
@@ -91,16 +96,15 @@ def _search_pairs(
                 moving = moving or jump[c, points[k]] != 0.0
             if not moving:
                 continue
-            if stored[c, t] > 0.0:
-                gain = _gain(t, -1.0, points, point_at, point_weight, weights, peaks[c], jump[c], stored[c], wanted[c],
+            for step in (-1.0, 1.0):
+                if not 0.0 <= stored[c, t] + step <= top:
+                    continue
+                gain = _gain(t, step, points, point_at, point_weight, weights, peaks[c], jump[c], stored[c], wanted[c],
                              tolerated, stay)  # fmt: skip
-                if gain < gain_down:
-                    gain_down, down = gain, c
-            if stored[c, t] < top:
-                gain = _gain(t, 1.0, points, point_at, point_weight, weights, peaks[c], jump[c], stored[c], wanted[c],
-                             tolerated, stay)  # fmt: skip
-                if gain < gain_up:
+                if step > 0.0 and gain < gain_up:
                     gain_up, up = gain, c
+                if step < 0.0 and gain < gain_down:
+                    gain_down, down = gain, c
         if up < 0 or down < 0 or up == down or gain_up + gain_down > -1e-9:
             continue
         stored[up, t] += 1.0
@@ -143,11 +147,13 @@ def quantise_weights(texels: Floats, strip: SeamStrip, levels: int = 255) -> NDA
     wanted = np.ascontiguousarray((near / np.where(total > 0, total, 1.0)).T) * levels
     found = np.ascontiguousarray(flat_stored[strip.texels].T.astype(np.float64))
     rows, columns = strip.rows, strip.columns
-    settings = (TOLERATED, PEAK, STAY, LIMIT, GROWTH, MAX_ROUNDS)
+    num_texels, num_points = len(strip.texels), len(strip.weights)
     _search_pairs(
-        rows.indptr, rows.indices, rows.data,
-        columns.indptr, columns.indices, columns.data,
-        strip.weights, wanted, found, float(levels), settings,
+        rows.indptr, rows.indices, columns.indptr, columns.indices, columns.data,
+        strip.weights, wanted, found,
+        np.ascontiguousarray((rows @ found.T).T), np.full((num_channels, num_points), PEAK),
+        np.arange(num_texels), np.ones(num_texels, np.bool_), float(levels),
+        (TOLERATED, STAY, LIMIT, GROWTH, MAX_ROUNDS),
     )  # fmt: skip
     flat_stored[strip.texels] = found.T
     return stored

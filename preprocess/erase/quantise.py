@@ -8,8 +8,9 @@ the jump along the seams is small everywhere. The objective, over points P along
 
 Texels are visited in order; each takes the step that lowers the objective most; whenever one moves, all texels that
 share a point with it are visited again. Where a point still jumps by more than `LIMIT` when nothing moves any more,
-its peak weight grows and the search goes on (guided local search, Voudouris and Tsang 1999); now and then pairs of
-texels around such a point are tried together. Values never leave the range: the search moves within it.
+its peak weight grows and the search goes on (guided local search, Voudouris and Tsang 1999). In 8 bits this ends below
+the limit; in 16 bits, where a texture's slope is many steps a texel, a few points may stay between it and two steps.
+Values never leave the range: the search moves within it.
 """
 
 from __future__ import annotations
@@ -29,13 +30,12 @@ TOLERATED = 0.3
 PEAK = 100.0
 STAY = 0.005
 
-# Peak weights grow by this factor a round, for at most so many rounds; every so many rounds pairs are tried.
-GROWTH = 2.0
-MAX_ROUNDS = 40
-PAIR_ROUNDS = 8
+# Peak weights grow by this factor a round, for at most so many rounds; the best round counts.
+GROWTH = 1.5
+MAX_ROUNDS = 24
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _gain(t, step, points, point_at, point_weight, weights, peaks, jump, stored, wanted, tolerated, stay):
     """Change of the objective when texel t moves by step."""
     off = stored[t] - wanted[t]
@@ -50,7 +50,7 @@ def _gain(t, step, points, point_at, point_weight, weights, peaks, jump, stored,
     return gain
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _long_step(t, points, point_at, point_weight, weights, peaks, jump, tolerated):
     """The whole number of steps that would close the jumps round texel t best."""
     slope, curvature = 0.0, 1e-12
@@ -62,28 +62,23 @@ def _long_step(t, points, point_at, point_weight, weights, peaks, jump, tolerate
     return -np.rint(slope / curvature)
 
 
-@njit(cache=True)
-def _search(texel_at, texels, texel_weight, point_at, points, point_weight, weights, wanted, stored, top, settings):
-    """Move the stored integers (changed in place) of one channel until no jump exceeds the limit or nothing helps.
+@njit(cache=True, error_model="numpy")
+def _search(
+    texel_at, texels, point_at, points, point_weight, weights, wanted, stored, jump, peaks, queue, waiting, best_stored,
+    top, settings,
+):  # fmt: skip
+    """Move the stored integers of one channel until no jump exceeds the limit or nothing helps.
 
-    The first three arrays are the strip's rows (texels a point), the next three its transpose (points a texel).
+    The first two arrays are the strip's rows (texels a point), the next three its transpose (points a texel). From
+    `stored` on arrays are changed in place: the integers, their jumps, the points' peak weights, a queue of all texels
+    and whether each waits in it. The result is `best_stored`.
     """
-    tolerated, peak, stay, limit, growth, max_rounds, pair_rounds = settings
+    tolerated, stay, limit, growth, max_rounds = settings
     num_points, num_texels = len(weights), len(stored)
-    jump = np.zeros(num_points)
-    peaks = np.full(num_points, peak)
-    for p in range(num_points):
-        for k in range(texel_at[p], texel_at[p + 1]):
-            jump[p] += texel_weight[k] * stored[texels[k]]
-    queue = np.arange(num_texels)
-    waiting = np.ones(num_texels, np.bool_)
-    head, count = 0, num_texels
-    chosen = np.empty(2, np.int64)
-    steps = np.empty(2)
-    rounds, pair_point, visits = 0, num_points, 0
+    best_jump = np.inf
+    head, count, rounds, visits = 0, num_texels, 0, 0
     while rounds < max_rounds and visits < 1000 * num_texels:
-        num_moves = 0
-        best = -1e-9
+        moved, step = -1, 0.0
         if count > 0:
             t = queue[head]
             head = (head + 1) % num_texels
@@ -91,75 +86,45 @@ def _search(texel_at, texels, texel_weight, point_at, points, point_weight, weig
             waiting[t] = False
             visits += 1
             far = _long_step(t, points, point_at, point_weight, weights, peaks, jump, tolerated)
-            for step in (-2.0, -1.0, 1.0, 2.0, far):
-                if step != 0.0 and 0.0 <= stored[t] + step <= top:
-                    gain = _gain(
-                        t, step, points, point_at, point_weight, weights, peaks, jump, stored, wanted, tolerated, stay
-                    )
+            best = -1e-9
+            for k in range(-2, 3):
+                candidate = far if k == 0 else float(k)
+                if 0.0 <= stored[t] + candidate <= top:
+                    gain = _gain(t, candidate, points, point_at, point_weight, weights, peaks, jump, stored, wanted,
+                                 tolerated, stay)  # fmt: skip
                     if gain < best:
-                        best, num_moves, chosen[0], steps[0] = gain, 1, t, step
-        elif pair_point < num_points:
-            worst = pair_point
-            pair_point += 1
-            if abs(jump[worst]) <= limit:
+                        best, moved, step = gain, t, candidate
+            if moved < 0:
                 continue
-            for k in range(texel_at[worst], texel_at[worst + 1]):
-                a = texels[k]
-                for step_a in (-1.0, 1.0):
-                    if not 0.0 <= stored[a] + step_a <= top:
-                        continue
-                    first = _gain(
-                        a, step_a, points, point_at, point_weight, weights, peaks, jump, stored, wanted, tolerated, stay
-                    )
-                    for n in range(point_at[a], point_at[a + 1]):
-                        jump[points[n]] += step_a * point_weight[n]
-                    for n in range(point_at[a], point_at[a + 1]):
-                        q = points[n]
-                        for m in range(texel_at[q], texel_at[q + 1]):
-                            b = texels[m]
-                            if b == a:
-                                continue
-                            for step_b in (-1.0, 1.0):
-                                if not 0.0 <= stored[b] + step_b <= top:
-                                    continue
-                                gain = first + _gain(
-                                    b, step_b, points, point_at, point_weight,
-                                    weights, peaks, jump, stored, wanted, tolerated, stay,
-                                )  # fmt: skip
-                                if gain < best:
-                                    best, num_moves = gain, 2
-                                    chosen[0], steps[0], chosen[1], steps[1] = a, step_a, b, step_b
-                    for n in range(point_at[a], point_at[a + 1]):
-                        jump[points[n]] -= step_a * point_weight[n]
+            stored[t] += step
+            first, last = point_at[t], point_at[t + 1]
         else:
             rounds += 1
-            violated = 0
+            worst = 0.0
             for p in range(num_points):
-                if abs(jump[p]) > limit:
-                    violated += 1
-                    peaks[p] *= growth
-                    for k in range(texel_at[p], texel_at[p + 1]):
-                        u = texels[k]
-                        if not waiting[u]:
-                            waiting[u] = True
-                            queue[(head + count) % num_texels] = u
-                            count += 1
-            if violated == 0:
+                worst = max(worst, abs(jump[p]))
+            if worst < best_jump:
+                best_jump = worst
+                for t in range(num_texels):
+                    best_stored[t] = stored[t]
+            if worst <= limit:
                 break
-            if rounds % pair_rounds == 0:
-                pair_point = 0
-        for move in range(num_moves):
-            t, step = chosen[move], steps[move]
-            stored[t] += step
-            for k in range(point_at[t], point_at[t + 1]):
+            first, last = 0, num_points
+        for k in range(first, last):
+            p = k
+            if moved >= 0:
                 p = points[k]
                 jump[p] += step * point_weight[k]
-                for n in range(texel_at[p], texel_at[p + 1]):
-                    u = texels[n]
-                    if not waiting[u]:
-                        waiting[u] = True
-                        queue[(head + count) % num_texels] = u
-                        count += 1
+            elif abs(jump[p]) > limit:
+                peaks[p] *= growth
+            else:
+                continue
+            for n in range(texel_at[p], texel_at[p + 1]):
+                u = texels[n]
+                if not waiting[u]:
+                    waiting[u] = True
+                    queue[(head + count) % num_texels] = u
+                    count += 1
 
 
 def round_strip(values: Floats, strip: SeamStrip, levels: int) -> Floats:
@@ -179,16 +144,18 @@ def round_strip(values: Floats, strip: SeamStrip, levels: int) -> Floats:
         Whole numbers from 0 to levels.
     """
     wanted = np.ascontiguousarray(np.clip(values, 0, 1).T) * levels
-    stored = np.rint(wanted)
+    rounded = np.rint(wanted)
+    num_texels, num_points = len(strip.texels), len(strip.weights)
     rows, columns = strip.rows, strip.columns
-    settings = (TOLERATED, PEAK, STAY, LIMIT, GROWTH, MAX_ROUNDS, PAIR_ROUNDS)
-    for start, found in zip(wanted, stored, strict=True):
+    settings = (TOLERATED, STAY, LIMIT, GROWTH, MAX_ROUNDS)
+    result = rounded.copy()
+    for channel in range(len(wanted)):
         _search(
-            rows.indptr, rows.indices, rows.data,
-            columns.indptr, columns.indices, columns.data,
-            strip.weights, start, found, float(levels), settings,
+            rows.indptr, rows.indices, columns.indptr, columns.indices, columns.data,
+            strip.weights, wanted[channel], rounded[channel], rows @ rounded[channel], np.full(num_points, PEAK),
+            np.arange(num_texels), np.ones(num_texels, np.bool_), result[channel], float(levels), settings,
         )  # fmt: skip
-    return stored.T
+    return result.T
 
 
 def quantise(texels: Floats, strip: SeamStrip, levels: int) -> NDArray[Any]:

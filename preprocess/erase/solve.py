@@ -33,6 +33,12 @@ TIE = 1e-8
 
 MAX_REPEATS = 60
 
+# Bounds: weight of the pull towards the range (times the squared change), over-relaxation, when to stop.
+BOUND_WEIGHT = 50.0
+RELAXATION = 1.7
+BOUND_TOLERANCE_REL = 1e-5
+MAX_BOUND_REPEATS = 300
+
 
 class NotConvergedError(RuntimeError):
     """The seam constraint could not be met to the tolerance asked for."""
@@ -129,17 +135,21 @@ def factorise(matrix: sparse.csr_array, jump: sparse.csr_array, penalty: float) 
         ρ.
     """
     full = sparse.csc_array(matrix + penalty * (jump.T @ jump))
+    return Factor(_factor(full), full, jump, penalty)
+
+
+def _factor(matrix: sparse.csc_array) -> Any:
+    """SuperLU's factorisation, told that the matrix is symmetric."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", linalg.MatrixRankWarning)
-        lu = linalg.splu(
-            full,
+        return linalg.splu(
+            matrix,
             permc_spec="MMD_AT_PLUS_A",
             diag_pivot_thresh=0.0,
             relax=4,
             panel_size=1,
             options={"SymmetricMode": True},
         )
-    return Factor(lu, full, jump, penalty)
 
 
 def solve_change(factor: Factor, force: Floats, jump_before: Floats, tolerance: float) -> tuple[Floats, Floats, int]:
@@ -181,3 +191,57 @@ def solve_change(factor: Factor, force: Floats, jump_before: Floats, tolerance: 
     raise NotConvergedError(
         f"seam energy {seam_energy.max():.1e} after {MAX_REPEATS} repetitions, wanted {tolerance:.1e}"
     )
+
+
+def solve_bounded(
+    factor: Factor,
+    force: Floats,
+    jump_before: Floats,
+    change: Floats,
+    bounded: NDArray[np.int64],
+    lower: Floats,
+    upper: Floats,
+) -> tuple[Floats, float]:
+    """Bring some unknowns into a range and keep the seams closed.
+
+    The alternating direction method of multipliers (Boyd et al. 2011, section 5.2): solutions of the linear system,
+    pulled towards a copy of the bounded unknowns, alternate with clipping that copy. Every solution is seamless; the
+    limit is also in range.
+
+    Parameters
+    ----------
+    factor : Factor
+    force : (U, C) float64
+    jump_before : (R, C) float64
+    change : (U, C) float64
+        The solution without bounds.
+    bounded : (N,) int64
+        Unknowns that have bounds.
+    lower, upper : (N, C) float64
+        Bounds of their change.
+
+    Returns
+    -------
+    change : (U, C) float64
+    excess : float
+        How far the worst one still lies outside.
+    """
+    pull = np.zeros(len(force))
+    pull[bounded] = BOUND_WEIGHT
+    lu = _factor(sparse.csc_array(factor.matrix + sparse.diags_array(pull, format="csc")))
+    base = force - factor.jump.T @ (factor.penalty * jump_before)
+    copy = np.clip(change[bounded], lower, upper)
+    dual = np.zeros_like(copy)
+    excess = np.inf
+    for _ in range(MAX_BOUND_REPEATS):
+        target = base.copy()
+        target[bounded] += BOUND_WEIGHT * (copy - dual)
+        change = lu.solve(target)
+        here = change[bounded]
+        excess = float(max((lower - here).max(), (here - upper).max()))
+        if excess <= BOUND_TOLERANCE_REL:
+            break
+        relaxed = RELAXATION * here + (1 - RELAXATION) * copy
+        copy = np.clip(relaxed + dual, lower, upper)
+        dual += relaxed - copy
+    return change, excess
