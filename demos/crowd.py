@@ -26,23 +26,23 @@ from demos.options import Options, Parser, add_arguments, parse, run
 from demos.orbit import Orbit
 from demos.sun_camera import sun_camera
 from demos.viewer import find_folder
-from demos.walk_scene import write_uniforms
+from demos.walk_scene import character_size, write_uniforms
 from runtime.gl_state import functions
 from runtime.programs import build_program
 from runtime.views import VIEWS
 
-SPACING = 0.85  # heights between neighbours
+SPACING = 0.85  # between neighbours, of a character's size
 SHADOW_PX = 2048
 SUN = (0.45, 0.75, 0.5)
 HORIZON = np.array([0.72, 0.76, 0.82])
 MAX_COUNT = 1_000_000
 
 
-def square(count: int, height_m: float, seed: int = 1) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def square(count: int, unit_m: float, seed: int = 1) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Places (A, 3), metres, on a jittered grid around the origin, the front row first; and headings (A,), radians."""
     draw = np.random.default_rng(seed)
     side = int(np.ceil(np.sqrt(max(count, 1))))
-    spacing = SPACING * height_m
+    spacing = SPACING * unit_m
     column, row = np.arange(count) % side, np.arange(count) // side
     places = np.zeros((count, 3))
     places[:, 0] = (column - (side - 1) / 2 + draw.uniform(-0.3, 0.3, count)) * spacing
@@ -66,10 +66,10 @@ class CrowdScene:
         self.ctx = ctx
         self.model = runtime.Model(ctx, runtime.load(folder))
         box = self.model.asset.manifest.bind_bounds
-        self.height_m, self.sole_m = float(box[1, 1] - box[0, 1]), float(box[0, 1])
+        self.unit_m, self.sole_m = character_size(box), float(box[0, 1])
         self.renderer = runtime.Renderer(ctx, lighting=runtime.Lighting(sun_direction=SUN))
         self.crowd = runtime.Crowd(ctx, self.model, count)
-        places, headings = square(count, self.height_m)
+        places, headings = square(count, self.unit_m)
         self.crowd.place_on_ground(places - [0.0, self.sole_m, 0.0], headings)
         draw = np.random.default_rng(2)
         num_clips = len(self.model.asset.clips)
@@ -80,7 +80,7 @@ class CrowdScene:
         except ValueError as error:
             raise DemoError(str(error)) from None
         self.crowd.tint(draw.uniform(0.6, 1.0, (count, 3)))
-        self.radius_m = 0.75 * SPACING * self.height_m * np.sqrt(max(count, 1)) + self.height_m
+        self.radius_m = 0.75 * SPACING * self.unit_m * np.sqrt(max(count, 1)) + self.unit_m
         self.front_m = float(places[:, 2].max(initial=0.0))
         self.ground = build_program(ctx, ("ground.vert", "ground.frag"))
         self.ground_array = ctx.vertex_array(self.ground, [])
@@ -90,9 +90,9 @@ class CrowdScene:
 
     def camera(self, options: Options) -> runtime.Camera:
         """The camera that was asked for, or one over the heads of the front row."""
-        front = self.front_m + 3.2 * self.height_m
-        eye = options.eye or (1.5 * self.height_m, 2.9 * self.height_m, front)
-        target = options.target or (0.0, 0.7 * self.height_m, front - 10.0 * self.height_m)
+        front = self.front_m + 3.2 * self.unit_m
+        eye = options.eye or (1.5 * self.unit_m, 2.9 * self.unit_m, front)
+        target = options.target or (0.0, 0.7 * self.unit_m, front - 10.0 * self.unit_m)
         return runtime.Camera(eye, target, fovy_deg=options.fovy_deg)
 
     def draw(self, target: moderngl.Framebuffer, camera: runtime.Camera, options: Options, view: str) -> None:
@@ -118,10 +118,10 @@ class CrowdScene:
         values: dict[str, Any] = {
             "clip_from_world": matrices.clip_from_world,
             "ground_centre": np.array([matrices.eye[0], 0.0, matrices.eye[2]]) - matrices.eye,
-            "ground_size": 3 * self.radius_m + 100 * self.height_m,
+            "ground_size": 3 * self.radius_m + 100 * self.unit_m,
             "sun_from_world": from_sun.clip_from_world @ moved,
             "eye": matrices.eye,
-            "unit_m": self.height_m,
+            "unit_m": self.unit_m,
             "sun_light": np.array([1.05, 0.98, 0.85]),
             "sky_light": np.array([0.30, 0.33, 0.40]),
             "lantern_light": np.zeros(3),

@@ -59,6 +59,12 @@ def find_hand(names: tuple[str, ...]) -> str:
     return names[0]
 
 
+def character_size(box: NDArray[np.float64]) -> float:
+    """How much room a character takes, metres: its height, or most of its length. `box` is (2, 3)."""
+    extent = box[1] - box[0]
+    return float(max(extent[1], 0.75 * max(extent[0], extent[2])))
+
+
 class WalkScene:
     """Everything of the example but the window.
 
@@ -76,7 +82,7 @@ class WalkScene:
         self.ctx = ctx
         self.model = runtime.Model(ctx, runtime.load(folder))
         box = self.model.asset.manifest.bind_bounds
-        self.height_m = float(box[1, 1] - box[0, 1])
+        self.unit_m = character_size(box)
         self.sole_m = float(box[0, 1])
         names = [clip.name for clip in self.model.asset.clips]
         self.walk = find_clip(names, "walk", "run", ".")
@@ -97,7 +103,7 @@ class WalkScene:
         """People on circles around the square, each with a pace and a colour of their own."""
         draw = np.random.default_rng(5)
         self.crowd = runtime.Crowd(self.ctx, self.model, num_walkers)
-        self.radii = self.height_m * draw.uniform(2.5, 14, num_walkers)
+        self.radii = self.unit_m * draw.uniform(2.5, 14, num_walkers)
         self.angles = draw.uniform(0, 2 * np.pi, num_walkers)
         self.paces = draw.uniform(0.8, 1.25, num_walkers) * draw.choice([-1, 1], num_walkers)
         if self.walk is not None:
@@ -117,8 +123,8 @@ class WalkScene:
 
     @property
     def pace_m_s(self) -> float:
-        """How fast somebody of this size walks."""
-        return 0.75 * self.height_m
+        """How fast somebody of this size walks, metres a second."""
+        return 0.75 * self.unit_m
 
     def steer(self, forward: float, turn: float) -> None:
         """What the keys say: forward −1 to 1, turn −1 (right) to 1 (left)."""
@@ -150,15 +156,15 @@ class WalkScene:
         """From behind the one who is steered, a little above."""
         ahead = np.array([np.sin(self.heading), 0.0, np.cos(self.heading)])
         right = np.array([-ahead[2], 0.0, ahead[0]])
-        eye = self.hero_place + self.height_m * (-2.3 * ahead + 0.9 * right + [0.0, 1.15, 0.0])
-        target = self.hero_place + self.height_m * (0.9 * ahead + [0.0, 0.55, 0.0])
-        near, far = 0.05 * self.height_m, 200 * self.height_m
+        eye = self.hero_place + self.unit_m * (-2.3 * ahead + 0.9 * right + [0.0, 1.15, 0.0])
+        target = self.hero_place + self.unit_m * (0.9 * ahead + [0.0, 0.55, 0.0])
+        near, far = 0.05 * self.unit_m, 200 * self.unit_m
         return runtime.Camera(tuple(eye), tuple(target), fovy_deg=45, near_m=near, far_m=far)  # type: ignore[arg-type]
 
     def draw(self, target: moderngl.Framebuffer) -> None:
         """One picture into a framebuffer of the caller's."""
         things: list[runtime.Actor | runtime.Crowd] = [self.hero, self.crowd]
-        sun = sun_camera(SUN, self.hero_place, 9 * self.height_m)
+        sun = sun_camera(SUN, self.hero_place, 9 * self.unit_m)
         self.shadow_target.use()
         self.shadow_target.clear(depth=1.0)
         self.renderer.draw(things, sun, view="depth", tessellation="off")
@@ -184,10 +190,10 @@ class WalkScene:
             {
                 **common,
                 "ground_centre": np.array([self.hero_place[0], 0.0, self.hero_place[2]]) - matrices.eye,
-                "ground_size": 150 * self.height_m,
+                "ground_size": 150 * self.unit_m,
                 "sun_from_world": from_sun.clip_from_world @ moved,
                 "eye": matrices.eye,
-                "unit_m": self.height_m,
+                "unit_m": self.unit_m,
                 "sun_light": np.array([0.62, 0.38, 0.25]),
                 "sky_light": np.array([0.13, 0.14, 0.22]),
                 "lantern_light": LANTERN_LIGHT,
@@ -195,7 +201,7 @@ class WalkScene:
                 "sun_depth": 0,
             },
         )
-        write_uniforms(self.glass, {**common, "lantern_size": 0.16 * self.height_m})
+        write_uniforms(self.glass, {**common, "lantern_size": 0.16 * self.unit_m})
         self.shadow.use(0)
         self.ctx.enable_only(moderngl.DEPTH_TEST)
         self.ground_array.render(moderngl.TRIANGLE_STRIP, vertices=4)
