@@ -33,6 +33,7 @@ STAY = 0.005
 # Peak weights grow by this factor a round, for at most so many rounds; the best round counts.
 GROWTH = 1.5
 MAX_ROUNDS = 24
+MAX_VISITS = 60  # a texel; 8-bit searches end after about ten
 
 
 @njit(cache=True, error_model="numpy")
@@ -77,7 +78,7 @@ def _search(
     num_points, num_texels = len(weights), len(stored)
     best_jump = np.inf
     head, count, rounds, visits = 0, num_texels, 0, 0
-    while rounds < max_rounds and visits < 1000 * num_texels:
+    while rounds < max_rounds and visits < MAX_VISITS * num_texels:
         moved, step = -1, 0.0
         if count > 0:
             t = queue[head]
@@ -150,6 +151,8 @@ def round_strip(values: Floats, strip: SeamStrip, levels: int) -> Floats:
     settings = (TOLERATED, STAY, LIMIT, GROWTH, MAX_ROUNDS)
     result = rounded.copy()
     for channel in range(len(wanted)):
+        if np.abs(rows @ wanted[channel]).max(initial=0.0) > 1.0:
+            continue  # the solution itself jumps by more than a step (a finite seam weight): rounding adds nothing
         _search(
             rows.indptr, rows.indices, columns.indptr, columns.indices, columns.data,
             strip.weights, wanted[channel], rounded[channel], rows @ rounded[channel], np.full(num_points, PEAK),
