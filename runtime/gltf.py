@@ -115,6 +115,9 @@ class Document:
             values = np.zeros((count, *shape), dtype)
         if "sparse" in spec:
             self._apply_sparse(values, spec["sparse"], dtype, shape, where)
+        if dtype.kind == "f":  # damaged bytes may be signalling NaNs, which would warn wherever they are used
+            with np.errstate(invalid="ignore"):
+                np.multiply(values, dtype.type(1), out=values)
         if len(shape) == 2:
             values = np.ascontiguousarray(values.swapaxes(1, 2))
         if spec.get("normalized") and dtype.kind in "iu":

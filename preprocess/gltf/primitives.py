@@ -66,12 +66,6 @@ def _attribute(
     return values
 
 
-def _float64(values: NDArray[Any]) -> Floats:
-    """As float64; signalling NaNs of a damaged file come through quietly and are told apart later."""
-    with np.errstate(invalid="ignore"):
-        return values.astype(np.float64)
-
-
 def _triangles(mode: int, indices: NDArray[np.int64]) -> NDArray[np.int64]:
     """Triangles of a list, strip or fan, (F, 3); every other one of a strip turned so that all wind one way."""
     if mode == TRIANGLES:
@@ -114,10 +108,10 @@ def _blend_targets(
             continue
         shift = _attribute(document, target, "POSITION", len(positions), (3,), where)
         if shift is not None:
-            positions = positions + weight * _float64(shift)
+            positions = positions + weight * shift.astype(np.float64)
         turn = _attribute(document, target, "NORMAL", len(positions), (3,), where)
         if turn is not None and normals is not None:
-            normals = normals + weight * _float64(turn)
+            normals = normals + weight * turn.astype(np.float64)
     return positions, normals
 
 
@@ -148,7 +142,7 @@ def _read_texcoords(
     sets = _numbered(document, attributes, "TEXCOORD", count, 2, where)
     if not sets:
         return np.zeros((count, 0, 2))
-    texcoords = np.stack([_float64(values) for values in sets], axis=1)
+    texcoords = np.stack([values.astype(np.float64) for values in sets], axis=1)
     bad = ~np.isfinite(texcoords).all(axis=2)
     if bad.any():
         warnings.append(f"{where}: {int(bad.sum())} texture coordinates are not finite: set to 0")
@@ -195,7 +189,7 @@ def read_primitive(
         warnings.append(f"{where}: its uncompressed copy is read instead of the Draco one")
     if "POSITION" not in attributes:
         return None, [f"{where}: it has no positions: dropped"]
-    positions = _float64(document.accessor(attributes["POSITION"]))
+    positions = document.accessor(attributes["POSITION"]).astype(np.float64)
     if positions.ndim != 2 or positions.shape[1] != 3:
         raise InputError(f"{where}: POSITION is not made of vectors of three: export the file again")
     count = len(positions)
@@ -204,7 +198,7 @@ def read_primitive(
         return None, [*warnings, f"{where}: it has no triangles: dropped"]
 
     raw_normals = _attribute(document, attributes, "NORMAL", count, (3,), where)
-    normals = None if raw_normals is None else _float64(raw_normals)
+    normals = None if raw_normals is None else raw_normals.astype(np.float64)
     if spec.get("targets"):
         warnings.append(f"{where}: {len(spec['targets'])} morph targets dropped")
         positions, normals = _blend_targets(document, spec, morph_weights, positions, normals, where)
@@ -229,11 +223,11 @@ def read_primitive(
         faces=faces,
         positions=positions,
         normals=None if normals is None else _unit(normals),
-        tangents=None if tangents is None else _float64(tangents),
+        tangents=None if tangents is None else tangents.astype(np.float64),
         texcoords=_read_texcoords(document, attributes, count, where, warnings),
         colors=colors,
         joints=np.concatenate(joints, axis=1).astype(np.int64) if joints else None,
-        weights=_float64(np.concatenate(weights, axis=1)) if weights else None,
+        weights=np.concatenate(weights, axis=1).astype(np.float64) if weights else None,
         material=spec.get("material"),
     )
     return primitive, warnings
