@@ -287,7 +287,7 @@ def test_a_known_error_is_measured() -> None:
     from preprocess.decimate import decimate_to
 
     lod = decimate_to(flat, 2).lods[0]
-    distances = measure(make_reference(hill, None, 2000), lod, 2000)
+    distances = measure(make_reference(hill, None, 2000), lod)
     assert distances.largest_m == pytest.approx(0.25)
     assert 0.03 < distances.mean_m < 0.2 and distances.normal_rad > 0.2
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from preprocess.decimate.engine import Engine, make_engine
 from preprocess.decimate.floor import count_floor
 from preprocess.decimate.lod import Chain, DecimateOptions, Lod, Strictness
-from preprocess.decimate.measure import NUM_SAMPLES, Reference, make_reference, measure
+from preprocess.decimate.measure import Reference, make_reference, measure
 from preprocess.decimate.topology import build_half_edges, source_uvs
 from preprocess.errors import InputError
 from preprocess.mesh import TexturedSurface
@@ -125,7 +125,7 @@ def decimate_within(
     if not error_m > 0.0:
         raise InputError(f"an error of {error_m:g} m is not above zero: give a distance in metres")
     engine = make_engine(surface, options or DecimateOptions(), position_texture, poses)
-    reference = make_reference(surface, poses, NUM_SAMPLES)
+    reference = make_reference(surface, poses)
     best = _measured(reference, engine.snapshot(), 0.0)
     target = engine.num_faces
     while True:
@@ -160,32 +160,26 @@ def _relaxed_levels(
 
     A level is used where its error is about a pixel, and the mip level there has texels of about a pixel, so half a
     texel of that mip is half of the error, as a length on the surface. How large the error will be is not known
-    before, so a few allowances are tried, upwards from that of the level before, which is a lower bound: the first
-    that reaches the target counts, if what was used of it fits the error that came of it.
+    before, so a few allowances are tried, from that of the level before (a lower bound) upwards: the first that
+    reaches the target, else the largest, if what was used of it fits the error that came of it.
     """
     lods: list[Lod] = []
     last = finest
     for target in targets:
-        chosen: tuple[Engine, Lod] | None = None
-        for growth in RELAXED_GROWTHS:
-            allowance = growth * options.relaxed_px * last.error_m / engine.metres_per_uv
-            attempt = engine.copy()
-            attempt.relax(allowance)
+        attempts = [engine.copy() for _ in RELAXED_GROWTHS]
+        for growth, attempt in zip(RELAXED_GROWTHS, attempts, strict=True):
+            attempt.relax(growth * options.relaxed_px * last.error_m / engine.metres_per_uv)
             attempt.run_to(target)
-            if attempt.num_faces > (1 - MIN_SAVING_REL) * last.num_faces:
-                continue
+        attempts = [attempt for attempt in attempts if attempt.num_faces <= (1 - MIN_SAVING_REL) * last.num_faces]
+        reaching = [attempt for attempt in attempts if attempt.num_faces <= target]
+        for attempt in (*reaching[:1], *reversed(attempts[: len(attempts) - len(reaching)])):
             lod = _measured(reference, attempt.snapshot(), last.error_m)
-            if attempt.deviation_uv * engine.metres_per_uv > options.relaxed_px * lod.error_m:
+            if attempt.deviation_uv * engine.metres_per_uv <= options.relaxed_px * lod.error_m:
+                exact = attempt.deviation_uv <= options.seam_tolerance_uv
+                last = replace(lod, exact=exact, uv_bound_px=attempt.deviation_uv * options.texture_px)
+                lods.append(last)
+                engine = attempt
                 break
-            if chosen is None or lod.error_m <= chosen[1].error_m:
-                chosen = attempt, lod
-            if attempt.num_faces <= target:
-                break
-        if chosen is not None:
-            engine, lod = chosen
-            exact = engine.deviation_uv <= options.seam_tolerance_uv
-            last = replace(lod, exact=exact, uv_bound_px=engine.deviation_uv * options.texture_px)
-            lods.append(last)
     return lods
 
 
@@ -221,7 +215,7 @@ def decimate(
     """
     options = options or DecimateOptions()
     engine = make_engine(surface, options, position_texture, poses)
-    reference = make_reference(surface, poses, NUM_SAMPLES)
+    reference = make_reference(surface, poses)
     may_relax = options.ratios is None and options.relaxed_px > 0 and options.strict is Strictness.SEAMLESS
     near_floor = NEAR_FLOOR_REL * engine.predict_floor() if may_relax else 0
     lods: list[Lod] = []

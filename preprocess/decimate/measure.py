@@ -15,8 +15,9 @@ from preprocess.decimate.lod import Lod
 from preprocess.decimate.nearest import NearestTree, build_tree
 from preprocess.mesh import Floats, Ints, TexturedSurface
 
-# Samples over the area of each mesh, and how many of its vertices besides.
+# Samples over the area of each mesh, and how many of its vertices besides; with many poses, in each of them.
 NUM_SAMPLES = 8192
+NUM_SAMPLES_POSED = 4096
 # The R2 sequence (Roberts 2018): successive multiples of these, modulo one, cover the square evenly.
 _R2 = (0.7548776662466927, 0.5698402909980532)
 
@@ -98,6 +99,10 @@ class Reference:
     posed : (P, V, 3) float64
     trees : tuple of NearestTree, one a pose
     samples : Samples
+    num_samples : int
+        Over the area.
+    num_samples : int
+        Over the area.
     """
 
     surface: TexturedSurface
@@ -105,15 +110,21 @@ class Reference:
     posed: Floats
     trees: tuple[NearestTree, ...]
     samples: Samples
+    num_samples: int
 
 
-def make_reference(surface: TexturedSurface, poses: NDArray[np.floating] | None, num_samples: int) -> Reference:
+def make_reference(
+    surface: TexturedSurface, poses: NDArray[np.floating] | None = None, num_samples: int | None = None
+) -> Reference:
     """Pose the full mesh and build what distances to it need; see `decimate` for the arguments."""
+    if num_samples is None:
+        num_samples = NUM_SAMPLES if poses is None else NUM_SAMPLES_POSED
     bind = np.broadcast_to(np.eye(3, 4), (1, len(surface.positions), 3, 4))
     matrices = bind.copy() if poses is None else np.concatenate([bind, np.asarray(poses, np.float64)])
     posed = np.einsum("pvij,vj->pvi", matrices[..., :3], surface.positions) + matrices[..., 3]
     trees = tuple(build_tree(positions[surface.faces]) for positions in posed)
-    return Reference(surface, matrices, posed, trees, sample_mesh(surface.positions, surface.faces, num_samples))
+    samples = sample_mesh(surface.positions, surface.faces, num_samples)
+    return Reference(surface, matrices, posed, trees, samples, num_samples)
 
 
 @dataclass(frozen=True)
@@ -125,15 +136,15 @@ class Distances:
     normal_rad: float
 
 
-def measure(reference: Reference, lod: Lod, num_samples: int = NUM_SAMPLES) -> Distances:
+def measure(reference: Reference, lod: Lod) -> Distances:
     """Compare a level with the full mesh, both ways, in all poses.
 
     Parameters
     ----------
     reference : Reference
     lod : Lod
-    num_samples : int
     """
+    num_samples = reference.num_samples
     if len(reference.matrices) > 1:
         matrices = blend_matrices(reference.surface, lod.uvs[lod.owner_uvs], reference.matrices)
         posed = np.einsum("pvij,vj->pvi", matrices[..., :3], lod.positions) + matrices[..., 3]
