@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import Delaunay
 
 from preprocess.mesh import Floats, Ints, TexturedSurface
+from preprocess.repack import repack_charts
 
 
 def grid_faces(columns: int, rows: int) -> Ints:
@@ -114,6 +116,25 @@ def with_dart(cells: int = 12, width: float = 0.01) -> TexturedSurface:
     corner[..., 0] += (on_dart * depth)[faces] * width * np.where(left, -1.0, 1.0)[:, None]
     corner[..., 0] += (on_dart * 0.004 * np.sin(23.0 * y))[faces]
     return weld_uvs(np.stack([x, y, 0.0 * x], axis=1), faces, corner)
+
+
+def random_charts(seed: int) -> TexturedSurface:
+    """A random triangulation of the square, torn into random charts with ragged outlines, holes and pinches; packed."""
+    rng = np.random.default_rng(seed)
+    points = np.concatenate([rng.uniform(size=(int(rng.integers(8, 150)), 2)), [[0, 0], [1, 0], [1, 1], [0, 1]]])
+    faces = Delaunay(points).simplices
+    edges = points[faces[:, 1:]] - points[faces[:, :1]]
+    area = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
+    faces = np.where(area[:, None] < 0, faces[:, [0, 2, 1]], faces)[np.abs(area) > 1e-6].astype(np.int32)
+    if seed % 3 == 0:
+        faces = faces[rng.uniform(size=len(faces)) < 0.93]
+    centres = rng.uniform(size=(int(rng.integers(1, 12)), 2))
+    distance = ((points[faces].mean(axis=1)[:, None] - centres) ** 2).sum(axis=2)
+    label = np.argmin(distance + rng.uniform(0.0, 0.02, distance.shape), axis=1)
+    # Faces of one label that meet at an edge make a chart: labels apart in uv, then what hangs together there.
+    corners = points[faces] * 0.9 + 2.0 * label[:, None, None]
+    surface = weld_uvs(np.column_stack([points, 0.0 * points[:, 0]]), faces, corners)
+    return repack_charts(surface, 512, 4.0).surface
 
 
 def weld_uvs(positions: Floats, faces: Ints, corner_uvs: Floats) -> TexturedSurface:

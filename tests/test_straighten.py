@@ -19,7 +19,7 @@ from preprocess.straighten.overlap import find_meeting_segments
 from preprocess.straighten.remap import chart_of_faces
 from preprocess.straighten.runs import run_segments
 from preprocess.straighten.simplify import chain_extents_uv, joint_points, run_ends
-from tests.builders_straighten import moebius, ring_in_square, tube, two_charts, weld_uvs, with_dart
+from tests.builders_straighten import moebius, random_charts, ring_in_square, tube, two_charts, weld_uvs, with_dart
 
 FAMILY: dict[str, Callable[[], TexturedSurface]] = {
     "two charts": two_charts,
@@ -135,6 +135,16 @@ def test_promises(name: str, tolerance: float) -> None:
     check_everything(surface, result, tolerance)
     for copy, array in zip(copies, (surface.positions, surface.faces, surface.uvs, surface.face_uvs), strict=True):
         np.testing.assert_array_equal(copy, array)
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_promises_on_random_charts(seed: int) -> None:
+    surface = random_charts(seed)
+    tolerance = (0.005, 0.05, 0.4)[seed % 3]
+    bound = (1.3, 4.0, 50.0)[seed % 5 % 3]
+    result = straighten(surface, tolerance, most_distortion=bound)
+    check_everything(surface, result, tolerance)
+    assert result.distortion <= bound
 
 
 @pytest.mark.parametrize("name", FAMILY)
