@@ -29,7 +29,7 @@ from benchmarks._table import print_table
 from demos.crowd import square
 from demos.headless import Canvas, create_context, write_png
 from demos.options import picture_size
-from runtime.crowd import CrowdLevel, vertex_bytes
+from runtime.crowd_levels import CrowdLevel, vertex_bytes
 from runtime.gltf import Document, read_document
 from runtime.gpu_asset import DrawGroup
 

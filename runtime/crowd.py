@@ -11,9 +11,7 @@ shares its pose with others, but only at levels whose own error is well above wh
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import moderngl
@@ -24,10 +22,11 @@ from runtime import gl_state
 from runtime.actor import joint_boxes_of
 from runtime.clip import Clip
 from runtime.crowd_bake import MAX_ROWS, bake_clips, pick_joints
+from runtime.crowd_levels import CrowdLevel, expand_levels, vertex_bytes
 from runtime.crowd_stage import INSTANCE_WORDS, Selection, Stage
 from runtime.errors import RenderError
-from runtime.gpu_asset import TEXTURE_UNITS, DrawGroup, Model, require_alive
-from runtime.programs import assemble, build_program
+from runtime.gpu_asset import TEXTURE_UNITS, Model, require_alive
+from runtime.programs import build_program
 from runtime.views import CrowdFrame
 
 Floats = NDArray[np.floating[Any]]
@@ -43,19 +42,6 @@ _INSTANCE_ATTRIBUTES = (
     ("in_row", 1, gl_state.FLOAT, 0, 48),
     ("in_tint", 4, gl_state.UNSIGNED_BYTE, 1, 52),
 )
-
-
-@dataclass(frozen=True)
-class CrowdLevel:
-    """Buffers of one level of detail of a crowd."""
-
-    vertices: moderngl.Buffer
-    indices: moderngl.Buffer
-    index_size: int
-    groups: tuple[DrawGroup, ...]
-    eight_joints: bool
-    nearest_row: bool
-    error_m: float
 
 
 class Crowd:
@@ -104,7 +90,7 @@ class Crowd:
         self._instances: moderngl.Buffer | None = None
         try:
             units = (*range(len(TEXTURE_UNITS)), ctx.default_texture_unit)
-            with gl_state.saved_state(units, (), False) as gl, _small_framebuffer(ctx, gl):
+            with gl_state.saved_state(units, (), False):
                 self._rows_texture = self._upload_rows()
                 self._levels = self._upload_levels()
         except BaseException:
@@ -226,41 +212,10 @@ class Crowd:
         texture.repeat_x = texture.repeat_y = False
         return texture
 
-    def _expand(self) -> list[tuple[NDArray[np.float32], NDArray[Any], Floats]]:
-        """Position, joints and weights of every level's vertices, read from the model's textures by the GPU."""
-        model = self.model
-        text = assemble("crowd_expand.vert", self.ctx.version_code, model.shader_defines).text
-        program = self.ctx.program(vertex_shader=text, varyings=("rest", "joints", "weights"))
-        for name, texture in model.textures.items():
-            if name in program:
-                program[name].value = TEXTURE_UNITS[name]  # type: ignore[union-attr]
-                texture.use(TEXTURE_UNITS[name])
-        for name, value in model.constants.items():
-            if name in program:
-                program[name].value = value  # type: ignore[union-attr]
-        levels = []
-        try:
-            for lod in model.lods:
-                num_vertices = len(lod.mesh.uvs)
-                array = self.ctx.vertex_array(program, [(lod.vertices, "2x4 2f4", "in_owner_uv")])
-                output = self.ctx.buffer(reserve=max(num_vertices, 1) * 44)
-                parts = []
-                for number in range(model.weight_cells.max_records):
-                    program["record_number"].value = number  # type: ignore[union-attr]
-                    array.transform(output, mode=moderngl.POINTS, vertices=num_vertices)
-                    parts.append(np.frombuffer(output.read(), dtype=np.float32).reshape(-1, 11)[:num_vertices])
-                array.release()
-                output.release()
-                joints = np.concatenate([part[:, 3:7] for part in parts], axis=1).astype(np.int64)
-                weights = np.concatenate([part[:, 7:11] for part in parts], axis=1)
-                levels.append((parts[0][:, :3], joints, weights))
-        finally:
-            program.release()
-        return levels
-
     def _upload_levels(self) -> tuple[CrowdLevel, ...]:
+        """Buffers of every level."""
         levels = []
-        for lod, (positions, joints, weights) in zip(self.model.lods, self._expand()):
+        for lod, (positions, joints, weights) in zip(self.model.lods, expand_levels(self.ctx, self.model)):
             few_joints, few_weights = pick_joints(joints, weights)
             vertices = vertex_bytes(positions, lod.mesh.uvs, few_joints, few_weights)
             levels.append(
@@ -427,40 +382,9 @@ class Crowd:
         self._owned.clear()
 
 
-@contextmanager
-def _small_framebuffer(ctx: moderngl.Context, gl: gl_state.Functions) -> Iterator[None]:
-    """A complete framebuffer while transform feedback runs: a context without a window may have none bound."""
-    drawing = gl.integer(gl_state.DRAW_FRAMEBUFFER_BINDING)
-    reading = gl.integer(gl_state.READ_FRAMEBUFFER_BINDING)
-    color = ctx.renderbuffer((1, 1))
-    framebuffer = ctx.framebuffer([color])
-    try:
-        gl.glBindFramebuffer(gl_state.DRAW_FRAMEBUFFER, framebuffer.glo)
-        yield
-    finally:
-        framebuffer.release()
-        color.release()
-        gl.glBindFramebuffer(gl_state.DRAW_FRAMEBUFFER, drawing)
-        gl.glBindFramebuffer(gl_state.READ_FRAMEBUFFER, reading)
-
-
 def view_key(frame: CrowdFrame) -> _ViewKey:
     """What tells views apart: a caller may give another shader to a name of its own."""
     return frame.view_name, frame.view.text
-
-
-def vertex_bytes(positions: Floats, uvs: Floats, joints: NDArray[np.uint16], weights: Floats) -> bytes:
-    """Vertices as crowd.vert reads them: position and uv float32, joints uint16, weights float16.
-
-    Parameters
-    ----------
-    positions : (V, 3) float, metres
-    uvs : (V, 2) float
-    joints, weights : (V, 4 or 8)
-    """
-    parts = (positions.astype("<f4"), uvs.astype("<f4"), joints.astype("<u2"), weights.astype("<f2"))
-    rows = [np.ascontiguousarray(part).view(np.uint8).reshape(len(positions), -1) for part in parts]
-    return np.concatenate(rows, axis=1).tobytes()
 
 
 def _skipped(form: str) -> str:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from runtime.blend import add_pose, mix_poses, overlay_pose
 from runtime.clip import Clip
+from runtime.joints_from_code import JointsFromCode
+from runtime.layers import Layer, make_layer
 from runtime.pose import Pose, rest_pose, sample, skinning_rows, wrap_times
 from runtime.root_motion import RootMotion
 from runtime.skeleton import Skeleton
@@ -32,24 +33,6 @@ _FIRST_CAPACITY = 8
 # In place of a clip's number: the slot is heard as silence.
 _SILENCE = -1
 _DTYPE = np.float32
-
-
-@dataclass(frozen=True)
-class Layer:
-    """One layer of a mixer.
-
-    Attributes
-    ----------
-    name : str
-    mode : "override" or "additive"
-        An additive layer adds what its clip does relative to the clip's first frame.
-    mask : (N,) float32 or None
-        How far each node follows the layer, 0 to 1. None is all of them.
-    """
-
-    name: str
-    mode: str = "override"
-    mask: NDArray[np.float32] | None = None
 
 
 class Mixer:
@@ -82,9 +65,7 @@ class Mixer:
         self._displacement = np.zeros((0, 3))
         self._joint_rows: Floats = np.zeros((0, skeleton.num_joints, 3, 4), dtype=_DTYPE)
         self._node_rows: Floats = np.zeros((0, skeleton.num_nodes, 3, 4), dtype=_DTYPE)
-        # Both appear when code first sets a joint: most crowds never do.
-        self._given_matrices: Floats | None = None
-        self._given_rotations: Floats | None = None
+        self._given = JointsFromCode(skeleton)
 
     # Rows
 
@@ -102,9 +83,7 @@ class Mixer:
         self._layer_weight[row], self._fade_rate[row], self._newest[row] = 1.0, 0.0, 0
         self._pending[row], self._displacement[row] = 0.0, 0.0
         self._dirty[row], self._moves_root[row] = True, False
-        for given in (self._given_matrices, self._given_rotations):
-            if given is not None:
-                given[row] = np.nan
+        self._given.clear(row)
         return row
 
     def remove_row(self, row: int) -> None:
@@ -121,10 +100,9 @@ class Mixer:
         for name in (
             *("_clip", "_time", "_speed", "_loop", "_weight", "_newest", "_fade_rate", "_layer_weight", "_pending"),
             *("_dirty", "_moves_root", "_displacement", "_joint_rows", "_node_rows"),
-            *(("_given_matrices",) if self._given_matrices is not None else ()),
-            *(("_given_rotations",) if self._given_rotations is not None else ()),
         ):
             setattr(self, name, longer(getattr(self, name)))
+        self._given.grow(capacity)
         self._free.extend(range(capacity - 1, self._capacity - 1, -1))
         self._capacity = capacity
 
@@ -171,31 +149,15 @@ class Mixer:
         ValueError
             For an unknown mode, a layer name in use, a mask of the wrong length or an unknown node.
         """
-        if mode not in ("override", "additive"):
-            raise ValueError(f"layer mode {mode!r} is unknown; use 'override' or 'additive'")
         if any(layer.name == name for layer in self.layers):
             raise ValueError(f"there already is a layer {name!r}")
-        self.layers.append(Layer(name, mode, self._mask(nodes)))
+        self.layers.append(make_layer(self.skeleton, name, mode, nodes))
         for attribute in ("_clip", "_time", "_speed", "_loop", "_weight", "_newest", "_fade_rate", "_layer_weight"):
             array = getattr(self, attribute)
             setattr(self, attribute, np.concatenate([array, np.zeros_like(array[:, :1])], axis=1))
         self._clip[:, -1] = _SILENCE
         self._layer_weight[:, -1] = 1.0
         return len(self.layers) - 1
-
-    def _mask(self, nodes: ArrayLike | None) -> NDArray[np.float32] | None:
-        """A layer's mask from what a caller may give."""
-        if nodes is None:
-            return None
-        given = np.asarray(nodes)
-        if given.dtype.kind in "US":
-            mask = np.zeros(self.skeleton.num_nodes, dtype=bool)
-            for name in np.atleast_1d(given):
-                mask |= self.skeleton.descendants(str(name))
-            return mask.astype(np.float32)
-        if given.shape != (self.skeleton.num_nodes,):
-            raise ValueError(f"a mask needs one number a node ({self.skeleton.num_nodes}), not shape {given.shape}")
-        return np.clip(given.astype(np.float32), 0, 1)
 
     def layer_index(self, layer: str | int) -> int:
         """Number of a layer given by name or number; ValueError when there is none."""
@@ -313,36 +275,13 @@ class Mixer:
 
         What hangs below a joint so set follows it.
         """
-        given = self._joints_given(row, matrices, (self.skeleton.num_joints, 4, 4))
-        if given is not None or self._given_matrices is not None:
-            if self._given_matrices is None:
-                self._given_matrices = np.full((self._capacity, self.skeleton.num_nodes, 3, 4), np.nan, dtype=_DTYPE)
-            self._given_matrices[row] = np.nan
-            if given is not None:
-                self._given_matrices[row, self.skeleton.joint_nodes] = given[:, :3]
+        self._given.set_matrices(row, self._capacity, matrices)
+        self._dirty[row] = True
 
     def set_rotations(self, row: int, rotations: ArrayLike | None) -> None:
-        """Set local rotations from code: (J, 4) unit quaternions, NaN where a joint keeps its own; None undoes."""
-        given = self._joints_given(row, rotations, (self.skeleton.num_joints, 4))
-        if given is not None or self._given_rotations is not None:
-            if self._given_rotations is None:
-                self._given_rotations = np.full((self._capacity, self.skeleton.num_nodes, 4), np.nan, dtype=_DTYPE)
-            self._given_rotations[row] = np.nan
-            if given is not None:
-                lengths = np.linalg.norm(given, axis=1, keepdims=True)
-                self._given_rotations[row, self.skeleton.joint_nodes] = given / np.where(lengths > 0, lengths, np.nan)
-
-    def _joints_given(self, row: int, values: ArrayLike | None, shape: tuple[int, ...]) -> Floats | None:
-        """Code-set joints, checked."""
+        """Set local rotations from code: (J, 4) quaternions, NaN where a joint keeps its own; None undoes."""
+        self._given.set_rotations(row, self._capacity, rotations)
         self._dirty[row] = True
-        if values is None:
-            return None
-        given = np.asarray(values, dtype=np.float64)
-        if given.shape != shape:
-            raise ValueError(f"joints need shape {shape}, not {given.shape}: one entry a joint, NaN to leave one alone")
-        if np.isinf(given).any():
-            raise ValueError("a joint is infinite; use NaN to leave one alone")
-        return given
 
     # Time
 
@@ -423,8 +362,8 @@ class Mixer:
             else:
                 reference = self._layer_pose(rows[active], which, first_frame=True) or above
                 add_pose(pose, above, reference, active, amount[active], layer.mask)
-        if self._given_rotations is not None:
-            given = self._given_rotations[rows]
+        given = self._given.rotations(rows)
+        if given is not None:
             np.copyto(pose.rotation, given, where=~np.isnan(given))
         return pose
 
@@ -458,7 +397,7 @@ class Mixer:
         stale = np.unique(rows[self._dirty[rows]])
         if not len(stale):
             return
-        given = None if self._given_matrices is None else self._given_matrices[stale]
+        given = self._given.matrices(stale)
         nodes = np.empty((len(stale), self.skeleton.num_nodes, 3, 4), dtype=_DTYPE)
         self._joint_rows[stale] = skinning_rows(self.skeleton, self.pose(stale), given, nodes)
         self._node_rows[stale] = nodes
