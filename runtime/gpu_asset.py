@@ -388,18 +388,7 @@ class Model:
             }
             content = [
                 _layout(program, lod.vertices, (("2f4", "in_uv"), ("2f4", "in_owner_uv"))),
-                _layout(
-                    program,
-                    self._instances[group],
-                    (
-                        ("4f4", "in_world_row0"),
-                        ("4f4", "in_world_row1"),
-                        ("4f4", "in_world_row2"),
-                        ("4f4", "in_tint"),
-                        ("2i4", "in_numbers"),
-                    ),
-                    per_instance=True,
-                ),
+                instance_layout(program, self._instances[group]),
             ]
             self._vertex_arrays[key] = self.ctx.vertex_array(
                 program,
@@ -478,6 +467,20 @@ class Model:
                 thing.release()
         self._owned.clear()
         self._instances.clear()
+
+
+INSTANCE_ATTRIBUTES = (
+    ("4f4", "in_world_row0"),
+    ("4f4", "in_world_row1"),
+    ("4f4", "in_world_row2"),
+    ("4f4", "in_tint"),
+    ("2i4", "in_numbers"),
+)
+
+
+def instance_layout(program: moderngl.Program, buffer: moderngl.Buffer) -> tuple[Any, ...] | None:
+    """moderngl's description of a buffer of `INSTANCE` records for a program."""
+    return _layout(program, buffer, INSTANCE_ATTRIBUTES, per_instance=True)
 
 
 def _layout(

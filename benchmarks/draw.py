@@ -1,0 +1,311 @@
+"""Drawing from textures beside ordinary vertex-attribute skinning: the same triangles, shading, context and run.
+
+Three questions: what a frame costs at equal triangles, for each way to store joint weights; what levels of detail save
+for a character 200 pixels tall; and how many bytes it all takes. Every time is the median over rounds in which the
+candidates take turns. CPU time counts all threads of the process: with software OpenGL it is the work itself, whatever
+else the machine does.
+
+Options: --built DIR (a built character), --rounds N, --size WxH.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks._table import print_table
+from demos.headless import Canvas, create_context
+from demos.options import picture_size
+from runtime.asset import Asset, load
+from runtime.camera import Camera, framing
+from runtime.errors import RenderError
+from runtime.gl_state import saved_state
+from runtime.gpu_asset import INSTANCE, TEXTURE_UNITS, Model, instance_layout
+from runtime.pose import sample, skinning_rows
+from runtime.programs import build_program
+from runtime.renderer import Renderer, set_material
+from runtime.weight_cells import split_stack
+
+BUILT = Path("out/benchmarks/human.seamless")
+JOINT_BLOCK_ROWS = 1020  # vec4 in the smallest uniform block that OpenGL promises, three a joint
+DRAWS_A_ROUND = 3
+TALL_PX = 200
+# Bytes a vertex of the classic chain: position 12, normal 4, tangent 4, uv 8, joints 4, weights 4.
+CLASSIC_VERTEX_BYTES = 36
+EXTRA_UNITS = {"texel_joints": 10, "texel_weights": 11, "dense_weights": 12}
+
+
+class Bench:
+    """One character in one context, and ways to draw its finest level."""
+
+    def __init__(self, ctx: moderngl.Context, asset: Asset) -> None:
+        self.ctx, self.asset = ctx, asset
+        self.model, self.renderer = Model(ctx, asset), Renderer(ctx)
+        self.mesh = asset.lods[0]
+        clip = asset.clips[min(1, len(asset.clips) - 1)]
+        self.rows = skinning_rows(asset.skeleton, sample(clip, asset.skeleton, [clip.duration_s / 3]))[0].astype(
+            np.float32
+        )
+        self.actor = self.model.actor(clip=clip.name, time_s=clip.duration_s / 3)
+        self.textures: dict[str, moderngl.Texture] = {}
+        self.arrays: dict[str, tuple[moderngl.VertexArray, moderngl.Program]] = {}
+        self.instances = ctx.buffer(reserve=INSTANCE.itemsize)
+        block = np.zeros((JOINT_BLOCK_ROWS, 4), np.float32)
+        block[: 3 * len(self.rows)] = self.rows.reshape(-1, 4)
+        self.joint_block = ctx.buffer(block.tobytes())
+
+    def prepare(self, camera: Camera, size: tuple[int, int]) -> None:
+        """Let the renderer fill frame and poses once, and copy the instance."""
+        self.renderer.draw([self.actor], camera, lod=0, tessellation="off")
+        matrices = camera.matrices(*size)
+        record = np.zeros(1, INSTANCE)
+        record["rows"] = np.eye(4)[:3]
+        record["rows"][:, :, 3] = -matrices.eye
+        record["tint"] = 1.0
+        self.instances.write(record.tobytes())
+
+    def add(self, name: str, vertex: str, buffer: moderngl.Buffer, form: str, attributes: tuple[str, ...],
+            defines: Mapping[str, str | int]) -> None:  # fmt: skip
+        """A candidate: a vertex shader and its vertices."""
+        program = build_program(self.ctx, (vertex, "lit.frag"), {"JOINT_BLOCK_ROWS": JOINT_BLOCK_ROWS, **defines})
+        for uniform, value in {**TEXTURE_UNITS, **EXTRA_UNITS, **self.model.constants}.items():
+            if uniform in program:
+                program[uniform].value = value  # type: ignore[union-attr]
+        lod = self.model.lods[0]
+        set_material(program, lod.groups[0].material, False)
+        content = [(buffer, form, *attributes), instance_layout(program, self.instances)]
+        array = self.ctx.vertex_array(program, content, lod.indices, index_element_size=lod.index_size)
+        self.arrays[name] = array, program
+
+    def bind(self) -> None:
+        """Put textures and blocks where all candidates expect them."""
+        for name, texture in self.model.textures.items():
+            texture.use(TEXTURE_UNITS[name])
+        for name, texture in self.textures.items():
+            texture.use(EXTRA_UNITS[name])
+        self.model.joint_texture(self.rows[None]).use(TEXTURE_UNITS["joint_texture"])
+        assert self.renderer._reflection is not None
+        self.renderer._reflection.use(TEXTURE_UNITS["reflection_texture"])
+        self.renderer._frame.bind_to_uniform_block(0)
+        self.joint_block.bind_to_uniform_block(1)
+
+
+def attribute_vertices(asset: Asset) -> NDArray[Any]:
+    """The finest level's vertices as attributes, sampled from the same textures: position, uv, four joints, weights."""
+    from preprocess.texels import sample_bilinear
+    from preprocess.weights import unpack_weights
+
+    mesh = asset.lods[0]
+    positions = sample_bilinear(asset.textures["position"].levels[0][:, :, :3], mesh.owner_uvs)
+    dense = unpack_weights(asset.textures["weights"].levels[0], asset.weight_size, asset.num_joints)
+    weights = sample_bilinear(dense, mesh.owner_uvs)
+    joints = np.argsort(-weights, axis=1, kind="stable")[:, :4]
+    strongest = np.take_along_axis(weights, joints, axis=1)
+    form = [("position", "<f4", 3), ("uv", "<f4", 2), ("joints", "u1", 4), ("weights", "u1", 4)]
+    vertices = np.zeros(len(mesh.uvs), form)
+    vertices["position"], vertices["uv"], vertices["joints"] = positions, mesh.uvs, joints
+    vertices["weights"] = np.rint(strongest / strongest.sum(axis=1, keepdims=True) * 255)
+    return vertices
+
+
+def plain_texture(ctx: moderngl.Context, texels: NDArray[Any], dtype: str) -> moderngl.Texture:
+    """A texture that is only fetched."""
+    height, width, channels = texels.shape
+    texture = ctx.texture((width, height), channels, np.ascontiguousarray(texels).tobytes(), alignment=1, dtype=dtype)
+    texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+    return texture
+
+
+def add_layouts(bench: Bench) -> dict[str, int]:
+    """The candidates; bytes of the weights of each."""
+    asset, ctx = bench.asset, bench.ctx
+    width, height = asset.weight_size
+    joints, weights = split_stack(asset.textures["weights"].levels[0], asset.weight_size)
+    lists = joints.shape[-1] // 4
+    stacked = [
+        array.reshape(height, width, lists, 4).transpose(2, 0, 1, 3).reshape(-1, width, 4)
+        for array in (joints, weights)
+    ]
+    layers = -(-asset.num_joints // 4)
+    dense = np.zeros((height, width, layers * 4), np.uint8)
+    np.put_along_axis(dense, joints[..., ::-1], weights[..., ::-1].astype(np.uint8), axis=-1)
+    dense_stack = dense.reshape(height, width, layers, 4).transpose(2, 0, 1, 3).reshape(-1, width, 4)
+    bench.textures = {
+        "texel_joints": plain_texture(ctx, stacked[0].astype(np.uint16), "u2"),
+        "texel_weights": plain_texture(ctx, stacked[1].astype(np.uint8), "f1"),
+        "dense_weights": plain_texture(ctx, dense_stack, "f1"),
+    }
+    vertices = ctx.buffer(attribute_vertices(asset).tobytes())
+    names = ("in_position", "in_uv", "in_joints", "in_weights")
+    bench.add("vertex attributes", "attributes.vert", vertices, "3f4 2f4 4u1 4f1", names, {})
+    own, both = bench.model.lods[0].vertices, ("in_uv", "in_owner_uv")
+    bench.add("textures: records a cell", "static.vert", own, "2f4 2f4", both, bench.model.shader_defines)
+    bench.add("textures: lists a texel", "layouts.vert", own, "2f4 2f4", both, {"LAYOUT_LISTS": 1, "LISTS": lists})
+    bench.add("textures: dense layers", "layouts.vert", own, "2f4 2f4", both, {"LAYOUT_DENSE": 1, "LAYERS": layers})
+    return {
+        "vertex attributes": 8 * len(bench.mesh.uvs),
+        "textures: records a cell": bench.model.weight_cells.nbytes,
+        "textures: lists a texel": stacked[0].astype(np.uint8).nbytes + stacked[1].astype(np.uint8).nbytes,
+        "textures: dense layers": dense_stack.nbytes,
+    }
+
+
+def take_turns(candidates: Mapping[str, Callable[[], None]], rounds: int) -> dict[str, tuple[float, float]]:
+    """Median wall and CPU milliseconds of each, one after another in every round."""
+    wall: dict[str, list[float]] = {name: [] for name in candidates}
+    cpu: dict[str, list[float]] = {name: [] for name in candidates}
+    for turn in range(rounds + 1):
+        for name, work in candidates.items():
+            start, start_cpu = time.perf_counter(), time.process_time()
+            work()
+            if turn:  # the first warms up
+                wall[name].append(time.perf_counter() - start)
+                cpu[name].append(time.process_time() - start_cpu)
+    scale = 1e3 / DRAWS_A_ROUND
+    return {name: (float(np.median(wall[name])) * scale, float(np.median(cpu[name])) * scale) for name in candidates}
+
+
+def measure_layouts(bench: Bench, canvas: Canvas, rounds: int) -> list[dict[str, Any]]:
+    """Equal triangles: attributes beside the weight layouts."""
+    camera = framing(bench.asset.manifest.bind_bounds, canvas.size[0] / canvas.size[1])
+    canvas.framebuffer.use()
+    bench.prepare(camera, canvas.size)
+    weight_bytes = add_layouts(bench)
+    bench.bind()
+    bench.ctx.enable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
+
+    def draw(array: moderngl.VertexArray) -> Callable[[], None]:
+        def work() -> None:
+            canvas.framebuffer.clear(depth=1.0)
+            for _ in range(DRAWS_A_ROUND):
+                array.render(instances=1)
+            bench.ctx.finish()
+
+        return work
+
+    times = take_turns({name: draw(array) for name, (array, _) in bench.arrays.items()}, rounds)
+    wall, cpu = times["vertex attributes"]
+    pictures = {}
+    for name, (array, _) in bench.arrays.items():
+        canvas.framebuffer.clear(depth=1.0)
+        array.render(instances=1)
+        pictures[name] = canvas.pixels().astype(int)
+    seconds = {name: times[name][0] / 1e3 for name in times}
+    return [
+        {
+            "what": name,
+            "wall ms": times[name][0],
+            "x": times[name][0] / wall,
+            "cpu ms": times[name][1],
+            "x cpu": times[name][1] / cpu,
+            "Mvertices/s": len(bench.mesh.uvs) / seconds[name] / 1e6,
+            "weight bytes": weight_bytes[name],
+            "pixels unlike the records'": int(
+                (pictures[name] != pictures["textures: records a cell"]).any(axis=-1).sum()
+            ),
+        }
+        for name in times
+    ]
+
+
+def measure_levels(bench: Bench, canvas: Canvas, rounds: int) -> list[dict[str, Any]]:
+    """A character 200 pixels tall: full detail, the level that the error allows, and tessellation."""
+    low, high = bench.asset.manifest.bind_bounds
+    near = framing((low, high), canvas.size[0] / canvas.size[1])
+    middle = (low + high) / 2
+    distance = (high[1] - low[1]) * canvas.size[1] / (2 * np.tan(np.radians(near.fovy_deg) / 2) * TALL_PX)
+    towards = np.asarray(near.eye) - near.target
+    eye = middle + towards / np.linalg.norm(towards) * distance
+    camera = Camera(tuple(eye), tuple(middle), fovy_deg=near.fovy_deg)
+    ways: dict[str, dict[str, Any]] = {
+        "full detail": {"lod": 0, "tessellation": "off"},
+        "chosen level": {"lod": "auto", "tessellation": "off"},
+    }
+    if bench.renderer.has_tessellation:
+        ways["coarsest level, tessellated"] = {"lod": len(bench.model.lods) - 1, "tessellation": "auto"}
+
+    def draw(how: dict[str, Any]) -> Callable[[], None]:
+        def work() -> None:
+            canvas.framebuffer.use()
+            canvas.framebuffer.clear(depth=1.0)
+            for _ in range(DRAWS_A_ROUND):
+                bench.renderer.draw([bench.actor], camera, **how)
+            bench.ctx.finish()
+
+        return work
+
+    times = take_turns({name: draw(how) for name, how in ways.items()}, rounds)
+    rows = []
+    for name, how in ways.items():
+        draw(how)()
+        level = bench.renderer.last_drawn[bench.actor].level
+        rows.append(
+            {
+                "what": f"{TALL_PX} px tall: {name}",
+                "level": level,
+                "faces": len(bench.model.lods[level].mesh.triangles),
+                "wall ms": times[name][0],
+                "times faster": times["full detail"][0] / times[name][0],
+                "cpu ms": times[name][1],
+                "times less work": times["full detail"][1] / times[name][1],
+            }
+        )
+    return rows
+
+
+def measure_bytes(model: Model) -> list[dict[str, Any]]:
+    """Memory for geometry, weights and all levels beside the classic chain of the same levels."""
+    sizes = model.gpu_bytes
+    ours = sizes["position"] + sizes["weights"] + sizes["levels"]
+    classic = sum(CLASSIC_VERTEX_BYTES * len(lod.mesh.uvs) + lod.indices.size for lod in model.lods)
+    return [
+        {
+            "what": "ours",
+            **{key: sizes[key] for key in ("position", "weights", "levels")},
+            "bytes": ours,
+            "x": ours / classic,
+        },
+        {
+            "what": f"classic chain, {CLASSIC_VERTEX_BYTES} bytes a vertex",
+            "levels": classic,
+            "bytes": classic,
+            "x": 1.0,
+        },
+    ]
+
+
+def run(argv: list[str]) -> list[dict[str, Any]]:
+    """Measure and print; the rows of all tables."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks draw", allow_abbrev=False)
+    parser.add_argument("--built", type=Path, default=BUILT, help=f"a built character ({BUILT})")
+    parser.add_argument("--rounds", type=int, default=30)
+    parser.add_argument("--size", type=picture_size, default=(512, 512), metavar="WxH")
+    options, _ = parser.parse_known_args(argv)
+    if not options.built.is_dir():
+        print(f"no built character in {options.built}: python -m preprocess MODEL -o {options.built}")
+        return []
+    ctx = create_context()
+    print(f"{ctx.info['GL_RENDERER']}, {options.size[0]} x {options.size[1]}")
+    bench = Bench(ctx, load(options.built))
+    canvas = Canvas(ctx, options.size, smooth=False)
+    rows: list[dict[str, Any]] = []
+    try:
+        with saved_state(range(16), (0, 1), True):
+            tables = [measure_layouts(bench, canvas, options.rounds)]
+        tables += [measure_levels(bench, canvas, options.rounds), measure_bytes(bench.model)]
+        for table in tables:
+            print_table(table)
+            print()
+            rows += table
+    except RenderError as error:
+        print(f"not measured: {error}")
+    finally:
+        ctx.release()
+    return rows
