@@ -148,18 +148,21 @@ def source_of(name: str, tmp_path: Path) -> Path:
 NAMES = ["bar", "binds", "Fox", "Knight", "human", "mannequiny"]
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_the_file_is_valid(name: str, tmp_path: Path) -> None:
-    character = load_character(source_of(name, tmp_path))
-    assert_valid(written(character, tmp_path / "model.glb"))
-    assert_valid(written(character, tmp_path / "model8.glb", influences=8))
+@pytest.fixture(scope="module", params=NAMES)
+def model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Character, Path]:
+    """A character and its model.glb of two levels; Fox with eight influences."""
+    folder = tmp_path_factory.mktemp(request.param)
+    character = load_character(source_of(request.param, folder))
+    written(character, folder / "model.glb", influences=8 if request.param == "Fox" else 4)
+    return character, folder / "model.glb"
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_the_khronos_validator_finds_no_errors(name: str, tmp_path: Path) -> None:
-    character = load_character(source_of(name, tmp_path))
-    written(character, tmp_path / "model.glb", influences=8 if name == "Fox" else 4)
-    report = issues(tmp_path / "model.glb")
+def test_the_file_is_valid(model: tuple[Character, Path]) -> None:
+    assert_valid(read_document(model[1]))
+
+
+def test_the_khronos_validator_finds_no_errors(model: tuple[Character, Path]) -> None:
+    report = issues(model[1])
     assert report["numErrors"] == 0 and report["numWarnings"] == 0, report["messages"]
 
 
@@ -172,12 +175,10 @@ def drawn(character: Character, clip: int, time_s: float) -> np.ndarray:
     return np.einsum("vij,vj->vi", blended, points)[:, :3][mesh.surface.faces]
 
 
-@pytest.mark.parametrize("name", ["bar", "binds", "Fox", "Knight"])
-def test_another_reader_sees_the_same_character_move(name: str, tmp_path: Path) -> None:
+def test_another_reader_sees_the_same_character_move(model: tuple[Character, Path]) -> None:
     """The finest level, read back as any glTF file, skins to the same triangles at moments of the clips."""
-    character = load_character(source_of(name, tmp_path))
-    document = written(character, tmp_path / "model.glb")
-    again = load_character(tmp_path / "model.glb")
+    character, path = model
+    again = load_character(path)
     assert [clip.name for clip in again.clips] == [clip.name for clip in character.clips]
     assert again.skeleton.num_joints == character.skeleton.num_joints
     order = np.argsort(character.mesh.face_materials, kind="stable")
@@ -185,7 +186,7 @@ def test_another_reader_sees_the_same_character_move(name: str, tmp_path: Path) 
         moment = 0.4 * character.clips[clip].duration_s
         ours, theirs = drawn(character, clip, moment)[order], drawn(again, clip, moment)
         assert np.abs(ours - theirs).max() < 1e-5 * character.mesh.surface.diagonal_m
-    assert len(document.items("meshes")) == 2
+    assert len(read_document(path).items("meshes")) == 2
 
 
 @pytest.mark.parametrize("name", ["Knight", "human"])
