@@ -27,15 +27,16 @@ def measure_crowding(surface: TexturedSurface, size_px: int) -> float:
     edges = find_edges(surface.faces)
     _, charts = label_faces(edges, cut_edges(edges, surface.face_uvs))
     triangles = uv_to_px(surface.uvs, size_px, size_px)[surface.face_uvs]
-    shared, used = _count_claims(np.ascontiguousarray(triangles), charts, size_px)
-    return shared / max(used, 1)
+    owner = np.full((size_px, size_px), -1, np.int32)
+    shared = np.zeros((size_px, size_px), bool)
+    _claim(np.ascontiguousarray(triangles), charts, owner, shared)
+    return float(shared.sum() / max((owner >= 0).sum(), 1))
 
 
 @njit(cache=True)
-def _count_claims(triangles, charts, size):  # type: ignore[no-untyped-def]
-    """Texels whose bilinear support (a square of side 2) meets triangles of several charts, and of any."""
-    owner = np.full((size, size), -1, np.int32)
-    shared = np.zeros((size, size), np.bool_)
+def _claim(triangles, charts, owner, shared):  # type: ignore[no-untyped-def]
+    """Mark texels whose bilinear support (a square of side 2) meets a triangle, and those of two charts."""
+    size = len(owner)
     for f in range(len(triangles)):
         t = triangles[f]
         x0 = max(int(np.ceil(min(t[0, 0], t[1, 0], t[2, 0]) - 1.0)), 0)
@@ -59,4 +60,3 @@ def _count_claims(triangles, charts, size):  # type: ignore[no-untyped-def]
                     if owner[y, x] >= 0 and owner[y, x] != charts[f]:
                         shared[y, x] = True
                     owner[y, x] = charts[f]
-    return shared.sum(), (owner >= 0).sum()

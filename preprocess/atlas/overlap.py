@@ -76,32 +76,50 @@ def find_overlap(uvs: Floats, face_uvs: Ints) -> Overlap:
         if cells == 1 or touched.sum() <= CELLS_PER_FACE * len(real):
             break
         cells = (cells + 1) // 2
-    pairs, hit = _count_pairs(
-        np.ascontiguousarray(triangles), low, high, first, last, cells, MAX_PAIRS_PER_FACE * len(real)
-    )
+    triangles = np.ascontiguousarray(triangles)
+    start = np.zeros(cells * cells + 1, np.int64)
+    items = np.empty(int(touched.sum()), np.int64)
+    hit = np.zeros(len(real), bool)
+    limit = MAX_PAIRS_PER_FACE * len(real)
+    pairs = _count_pairs(triangles, low, high, first, last, cells, limit, start, items, hit)
     bad[real[hit]] = True
     return Overlap(int(pairs), int(flat.sum()), bad)
 
 
 @njit(cache=True)
-def _count_pairs(triangles, low, high, first, last, cells, limit):  # type: ignore[no-untyped-def]
+def _apart(triangles, f, g, terms):  # type: ignore[no-untyped-def]
+    """Whether an edge of triangle f (counter-clockwise) has all of g on its right or on its line."""
+    for k in range(3):
+        m = (k + 1) % 3
+        outside = True
+        for n in range(3):
+            turn = orient(
+                triangles[f, k, 0], triangles[f, k, 1], triangles[f, m, 0], triangles[f, m, 1], triangles[g, n, 0],
+                triangles[g, n, 1], terms,
+            )  # fmt: skip
+            if turn > 0:
+                outside = False
+                break
+        if outside:
+            return True
+    return False
+
+
+@njit(cache=True)
+def _count_pairs(triangles, low, high, first, last, cells, limit, start, items, hit):  # type: ignore[no-untyped-def]
     """Overlapping pairs of counter-clockwise triangles, and which are in any."""
     num = len(triangles)
-    start = np.zeros(cells * cells + 1, np.int64)
     for f in range(num):
         for y in range(first[f, 1], last[f, 1] + 1):
             for x in range(first[f, 0], last[f, 0] + 1):
-                start[y * cells + x + 1] += 1
+                start[y * cells + x] += 1
     for c in range(cells * cells):
         start[c + 1] += start[c]
-    fill = start[:-1].copy()
-    items = np.empty(start[-1], np.int32)
     for f in range(num):
         for y in range(first[f, 1], last[f, 1] + 1):
             for x in range(first[f, 0], last[f, 0] + 1):
-                items[fill[y * cells + x]] = f
-                fill[y * cells + x] += 1
-    hit = np.zeros(num, np.bool_)
+                start[y * cells + x] -= 1  # the cells are filled from their ends, and start where they should
+                items[start[y * cells + x]] = f
     terms = np.empty(16)
     pairs = 0
     for c in range(cells * cells):
@@ -117,25 +135,10 @@ def _count_pairs(triangles, low, high, first, last, cells, limit):  # type: igno
                     continue
                 if high[f, 1] <= low[g, 1] or high[g, 1] <= low[f, 1]:
                     continue
-                if not _apart(triangles[f], triangles[g], terms) and not _apart(triangles[g], triangles[f], terms):
+                if not _apart(triangles, f, g, terms) and not _apart(triangles, g, f, terms):
                     pairs += 1
                     hit[f] = True
                     hit[g] = True
                     if pairs >= limit:
-                        return pairs, hit
-    return pairs, hit
-
-
-@njit(cache=True)
-def _apart(a, b, terms):  # type: ignore[no-untyped-def]
-    """Whether an edge of a (counter-clockwise) has all of b on its right or on its line."""
-    for k in range(3):
-        m = (k + 1) % 3
-        outside = True
-        for n in range(3):
-            if orient(a[k, 0], a[k, 1], a[m, 0], a[m, 1], b[n, 0], b[n, 1], terms) > 0:
-                outside = False
-                break
-        if outside:
-            return True
-    return False
+                        return pairs
+    return pairs

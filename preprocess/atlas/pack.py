@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from preprocess.errors import InputError
 from preprocess.mesh import Floats, Ints
@@ -95,13 +96,26 @@ def pack_charts(
     cells = min(size_px, MAX_CELLS) if num_charts <= MANY_CHARTS else min(size_px, MAX_CELLS // 2)
     rotations = ROTATIONS if num_charts <= MANY_CHARTS else ROTATIONS // 4
     gutter, least = gutter_px * cells / size_px, min_px * cells / size_px
-    best: tuple[Floats, Floats, Floats] | None = None
+    low_corner, high_corner = np.full((num_charts, 2), np.inf), np.full((num_charts, 2), -np.inf)
+    np.minimum.at(low_corner, segment_charts[order], points.min(axis=1))
+    np.maximum.at(high_corner, segment_charts[order], points.max(axis=1))
+    boxes = (high_corner - low_corner).prod(axis=1)
+    depth = 2 * cells
+    scratch = (
+        np.empty((depth, cells + 1), np.int32),
+        np.empty(depth, np.int32),
+        np.empty(depth, np.int64),
+        np.empty(depth, np.int64),
+    )
+    best: tuple[Floats, NDArray[np.int64], Floats] | None = None
     low, high = 0.0, np.inf
     scale = 0.84 * cells / np.sqrt(total)
     for trial in range(TRIALS + 40):
         sizes = np.maximum(scale, least / np.sqrt(np.maximum(areas, 1e-12 * total)))
         sizes = np.minimum(sizes, MAX_ENLARGEMENT * scale)
-        offsets, turns, height = _drop_charts(points, first, sizes, cells, gutter, rotations)
+        drop_order = np.argsort(-boxes * sizes**2, kind="stable")
+        offsets, turns = np.zeros((num_charts, 2)), np.zeros(num_charts, np.int64)
+        height = _drop_charts(points, first, drop_order, sizes, cells, gutter, rotations, *scratch, offsets, turns)
         if height <= cells:
             best, low = (sizes, turns, offsets), scale
         else:
@@ -179,32 +193,23 @@ def _rows(points, low, high, cosine, sine, half, left, right, corner):  # type: 
 
 
 @njit(cache=True)
-def _drop_charts(points, first, sizes, cells, gutter, rotations):  # type: ignore[no-untyped-def]
-    """Place the charts one by one; returns offsets, turns and the height used (infinite when one is too wide)."""
-    num_charts = len(first) - 1
-    offsets = np.zeros((num_charts, 2))
-    turns = np.zeros(num_charts, np.int32)
-    extent = np.ones(num_charts)  # area of the bounding box
-    for c in range(num_charts):
-        for axis in range(2):
-            low, high = np.inf, -np.inf
-            for s in range(first[c], first[c + 1]):
-                for k in range(2):
-                    low, high = min(low, points[s, k, axis]), max(high, points[s, k, axis])
-            extent[c] *= (high - low) * sizes[c]
-    order = np.argsort(-extent, kind="mergesort")
-    depth = 2 * cells
-    # Cells to the right, this one included, that are as free (positive) or taken (negative) as this one.
-    run = np.empty((depth, cells + 1), np.int32)
+def _drop_charts(  # type: ignore[no-untyped-def]
+    points, first, order, sizes, cells, gutter, rotations, run, widest, left, right, offsets, turns
+):
+    """Place the charts one by one; returns the height used (infinite when one is too wide).
+
+    `run`: how many cells to the right, this one included, are as free (positive) or taken (negative) as this one;
+    `widest`: the longest free run of each row; `left` and `right` are scratch space for a row each.
+    """
+    depth = len(run)
     for y in range(depth):
+        widest[y] = cells
         for x in range(cells + 1):
             run[y, x] = cells - x
-    widest = np.full(depth, cells, np.int32)  # free run in each row
-    left, right = np.empty(depth, np.int64), np.empty(depth, np.int64)
     corner = np.empty(2)
     half = 0.5 * gutter
     highest = 0
-    for i in range(num_charts):
+    for i in range(len(order)):
         c = order[i]
         best_turn, best_x, best_y, best_cost = -1, 0, 0, np.inf
         for turn in range(rotations):
@@ -250,7 +255,7 @@ def _drop_charts(points, first, sizes, cells, gutter, rotations):  # type: ignor
                     break
                 y += 1
         if best_turn < 0:
-            return offsets, turns, np.inf
+            return np.inf
         angle = 2 * np.pi * best_turn / rotations
         cosine, sine = sizes[c] * np.cos(angle), sizes[c] * np.sin(angle)
         rows = _rows(points, first[c], first[c + 1], cosine, sine, half, left, right, corner)
@@ -281,4 +286,4 @@ def _drop_charts(points, first, sizes, cells, gutter, rotations):  # type: ignor
         turns[c] = best_turn
         offsets[c, 0] = best_x - corner[0] + half
         offsets[c, 1] = best_y - corner[1] + half
-    return offsets, turns, float(highest)
+    return float(highest)

@@ -22,7 +22,9 @@ def face_orientation(uvs: Floats, face_uvs: Ints) -> NDArray[np.int8]:
     """Exact orientation of every uv triangle, (F,) int8: 1 where u × v of its edges is positive, 0 flat, -1."""
     if not len(face_uvs):
         return np.zeros(0, np.int8)
-    return _orient_all(uvs[face_uvs])
+    sign = np.empty(len(face_uvs), np.int8)
+    _orient_all(np.ascontiguousarray(uvs[face_uvs]), sign)
+    return sign
 
 
 def count_folds(uvs: Floats, face_uvs: Ints, face_charts: Ints, num_charts: int) -> Ints:
@@ -36,13 +38,26 @@ def count_folds(uvs: Floats, face_uvs: Ints, face_charts: Ints, num_charts: int)
 
 
 @njit(cache=True)
-def _orient_all(triangles):  # type: ignore[no-untyped-def]
-    sign = np.empty(len(triangles), np.int8)
-    terms = np.empty(16)
-    for f in range(len(triangles)):
-        t = triangles[f]
-        sign[f] = orient(t[0, 0], t[0, 1], t[1, 0], t[1, 1], t[2, 0], t[2, 1], terms)
-    return sign
+def _add_product(terms, size, x, y):  # type: ignore[no-untyped-def]
+    """Add x * y to an expansion (smallest part first): Dekker's exact product, Shewchuk's growth, part by part."""
+    product = x * y
+    big = 134217729.0 * x
+    xh = big - (big - x)
+    xl = x - xh
+    big = 134217729.0 * y
+    yh = big - (big - y)
+    yl = y - yh
+    error = xl * yl - (((product - xh * yh) - xl * yh) - xh * yl)
+    for part in range(2):
+        q = error if part == 0 else product
+        for i in range(size):
+            total = q + terms[i]
+            virtual = total - q
+            terms[i] = (q - (total - virtual)) + (terms[i] - virtual)
+            q = total
+        terms[size] = q
+        size += 1
+    return size
 
 
 @njit(cache=True)
@@ -67,23 +82,10 @@ def orient(ax, ay, bx, by, cx, cy, terms):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _add_product(terms, size, x, y):  # type: ignore[no-untyped-def]
-    """Add x * y to an expansion (smallest part first): Dekker's exact product, Shewchuk's growth, part by part."""
-    product = x * y
-    big = 134217729.0 * x
-    xh = big - (big - x)
-    xl = x - xh
-    big = 134217729.0 * y
-    yh = big - (big - y)
-    yl = y - yh
-    error = xl * yl - (((product - xh * yh) - xl * yh) - xh * yl)
-    for part in (error, product):
-        q = part
-        for i in range(size):
-            total = q + terms[i]
-            virtual = total - q
-            terms[i] = (q - (total - virtual)) + (terms[i] - virtual)
-            q = total
-        terms[size] = q
-        size += 1
-    return size
+def _orient_all(triangles, sign):  # type: ignore[no-untyped-def]
+    terms = np.empty(16)
+    for f in range(len(triangles)):
+        sign[f] = orient(
+            triangles[f, 0, 0], triangles[f, 0, 1], triangles[f, 1, 0], triangles[f, 1, 1], triangles[f, 2, 0],
+            triangles[f, 2, 1], terms,
+        )  # fmt: skip

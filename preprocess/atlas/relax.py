@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from preprocess.atlas.heap import pop, push
 from preprocess.atlas.layout import Layout
-from preprocess.atlas.segment import pop_item, push_item
 from preprocess.atlas.topology import Bools, MeshEdges
 from preprocess.mesh import Floats, TexturedSurface
 
@@ -76,18 +76,21 @@ def _shorten(  # type: ignore[no-untyped-def]
     num_vertices, num_edges = len(degree), len(vertices)
     lengths = np.empty(num_paths, np.int32)
     # Current edges of each path, as chains in one array: no path grows beyond its charts, so a ring of lists suffices.
-    head = np.full(num_paths, -1, np.int32)
-    chain = np.full(num_edges, -1, np.int32)  # the next edge of the same path
+    head = np.empty(num_paths, np.int32)
+    chain = np.empty(num_edges, np.int32)  # the next edge of the same path
     for p in range(num_paths):
+        head[p] = -1
         lengths[p] = path_first[p + 1] - path_first[p] - 1
         for i in range(path_first[p + 1] - 2, path_first[p] - 1, -1):
             chain[path_edges[i]] = head[p]
             head[p] = path_edges[i]
-    distance = np.full(num_vertices, np.inf)
-    via = np.full(num_vertices, -1, np.int32)
+    distance = np.empty(num_vertices)
+    via = np.empty(num_vertices, np.int32)
+    for v in range(num_vertices):
+        distance[v] = np.inf
     touched = np.empty(num_vertices, np.int32)
     keys = np.empty(2 * num_edges + 1)
-    items = np.empty((2 * num_edges + 1, 2), np.int32)
+    items = np.empty(len(keys), np.int64)
     stack = np.empty(3 * len(labels) + 1, np.int32)
     for _sweep in range(sweeps):
         changed = False
@@ -110,10 +113,10 @@ def _shorten(  # type: ignore[no-untyped-def]
             distance[start] = 0.0
             touched[0] = start
             num_touched = 1
-            size = push_item(keys, items, size, 0.0, start, 0)
+            size = push(keys, items, size, 0.0, np.int64(start))
             while size > 0:
-                d, v = keys[0], items[0, 0]
-                size = pop_item(keys, items, size)
+                d, v = keys[0], items[0]
+                size = pop(keys, items, size)
                 if d > distance[v]:
                     continue
                 if v == end:
@@ -135,7 +138,7 @@ def _shorten(  # type: ignore[no-untyped-def]
                             num_touched += 1
                         distance[w] = far
                         via[w] = e
-                        size = push_item(keys, items, size, far, w, 0)
+                        size = push(keys, items, size, far, np.int64(w))
             shorter = distance[end] < old * (1 - 1e-9)
             if shorter:
                 changed = True

@@ -63,7 +63,7 @@ def smooth_charts(
     tied[slots, np.r_[False, slots[1:] == slots[:-1]].astype(np.int64)] = rows
 
     incident = np.argsort(layout.face_uvs.ravel(), kind="stable").astype(np.int32)
-    first = np.r_[0, np.cumsum(np.bincount(layout.face_uvs.ravel(), minlength=len(uvs)))]
+    first = np.r_[0, np.cumsum(np.bincount(layout.face_uvs.ravel(), minlength=len(uvs)))].astype(np.int64)
     moving = np.ones(len(uvs), bool)
     moving[boundary] = False
     moving[layout.face_uvs[folds[layout.face_charts] > 0]] = False
@@ -98,63 +98,10 @@ def face_energies(surface: TexturedSurface, uvs: Floats, face_uvs: Ints) -> Floa
 
 
 @njit(cache=True)
-def _descend(  # type: ignore[no-untyped-def]
-    uvs, face_uvs, edge_sq, first, incident, moving, tied, boundary, start, stop, fractions, sweeps
-):
-    """Newton steps, one vertex or path slot at a time, all of them `sweeps` times."""
-    num_uvs = len(uvs)
-    parts = np.empty(2, np.int32)
-    direction = np.empty((2, 2))
-    begin = np.empty((2, 2))
-    total = np.empty(6)
-    for _sweep in range(sweeps):
-        for v in range(num_uvs):
-            if not moving[v] or first[v] == first[v + 1]:
-                continue
-            _derivatives(uvs, face_uvs, edge_sq, first, incident, v, total)
-            energy, gx, gy = total[0], total[1], total[2]
-            hxx, hxy, hyy = total[3], total[4], total[5]
-            det = hxx * hyy - hxy * hxy
-            if hxx > 0.0 and det > 1e-12 * hxx * hyy:
-                dx, dy = -(hyy * gx - hxy * gy) / det, -(hxx * gy - hxy * gx) / det
-            else:
-                scale = 1.0 / max(abs(hxx) + abs(hyy), 1e-300)
-                dx, dy = -gx * scale, -gy * scale
-            parts[0] = v
-            direction[0, 0], direction[0, 1] = dx, dy
-            _line_search(uvs, face_uvs, edge_sq, first, incident, parts, 1, direction, begin, energy)
-        for s in range(len(tied)):
-            if tied[s, 0] < 0:
-                continue
-            energy, slope, curve = 0.0, 0.0, 0.0
-            count = 0
-            for k in range(2):
-                if tied[s, k] < 0:
-                    continue
-                b = tied[s, k]
-                v = boundary[b]
-                _derivatives(uvs, face_uvs, edge_sq, first, incident, v, total)
-                dx, dy = stop[b, 0] - start[b, 0], stop[b, 1] - start[b, 1]
-                energy += total[0]
-                slope += total[1] * dx + total[2] * dy
-                curve += total[3] * dx * dx + 2 * total[4] * dx * dy + total[5] * dy * dy
-                parts[count] = v
-                direction[count, 0], direction[count, 1] = dx, dy
-                count += 1
-            if curve <= 0.0 or not np.isfinite(energy):
-                continue
-            step = -slope / curve
-            for k in range(count):
-                direction[k, 0] *= step
-                direction[k, 1] *= step
-            taken = _line_search(uvs, face_uvs, edge_sq, first, incident, parts, count, direction, begin, energy)
-            fractions[s] += taken * step
-
-
-@njit(cache=True)
 def _derivatives(uvs, face_uvs, edge_sq, first, incident, v, total):  # type: ignore[no-untyped-def]
     """Energy around a vertex, its gradient and Hessian: total = (E, Ex, Ey, Exx, Exy, Eyy)."""
-    total[:] = 0.0
+    for i in range(6):
+        total[i] = 0.0
     for i in range(first[v], first[v + 1]):
         f, c = incident[i] // 3, incident[i] % 3
         j, k = (c + 1) % 3, (c + 2) % 3
@@ -223,3 +170,58 @@ def _line_search(  # type: ignore[no-untyped-def]
     for k in range(count):
         uvs[parts[k], 0], uvs[parts[k], 1] = begin[k, 0], begin[k, 1]
     return 0.0
+
+
+@njit(cache=True)
+def _descend(  # type: ignore[no-untyped-def]
+    uvs, face_uvs, edge_sq, first, incident, moving, tied, boundary, start, stop, fractions, sweeps
+):
+    """Newton steps, one vertex or path slot at a time, all of them `sweeps` times."""
+    num_uvs = len(uvs)
+    parts = np.empty(2, np.int64)
+    direction = np.empty((2, 2))
+    begin = np.empty((2, 2))
+    total = np.empty(6)
+    for _sweep in range(sweeps):
+        for v in range(num_uvs):
+            if not moving[v] or first[v] == first[v + 1]:
+                continue
+            _derivatives(uvs, face_uvs, edge_sq, first, incident, np.int64(v), total)
+            energy, gx, gy = total[0], total[1], total[2]
+            hxx, hxy, hyy = total[3], total[4], total[5]
+            det = hxx * hyy - hxy * hxy
+            if hxx > 0.0 and det > 1e-12 * hxx * hyy:
+                dx, dy = -(hyy * gx - hxy * gy) / det, -(hxx * gy - hxy * gx) / det
+            else:
+                scale = 1.0 / max(abs(hxx) + abs(hyy), 1e-300)
+                dx, dy = -gx * scale, -gy * scale
+            parts[0] = v
+            count = np.int64(1)
+            direction[0, 0], direction[0, 1] = dx, dy
+            _line_search(uvs, face_uvs, edge_sq, first, incident, parts, count, direction, begin, energy)
+        for s in range(len(tied)):
+            if tied[s, 0] < 0:
+                continue
+            energy, slope, curve = 0.0, 0.0, 0.0
+            count = np.int64(0)
+            for k in range(2):
+                if tied[s, k] < 0:
+                    continue
+                b = tied[s, k]
+                u = np.int64(boundary[b])
+                _derivatives(uvs, face_uvs, edge_sq, first, incident, u, total)
+                dx, dy = stop[b, 0] - start[b, 0], stop[b, 1] - start[b, 1]
+                energy += total[0]
+                slope += total[1] * dx + total[2] * dy
+                curve += total[3] * dx * dx + 2 * total[4] * dx * dy + total[5] * dy * dy
+                parts[count] = u
+                direction[count, 0], direction[count, 1] = dx, dy
+                count += 1
+            if curve <= 0.0 or not np.isfinite(energy):
+                continue
+            step = -slope / curve
+            for k in range(count):
+                direction[k, 0] *= step
+                direction[k, 1] *= step
+            taken = _line_search(uvs, face_uvs, edge_sq, first, incident, parts, count, direction, begin, energy)
+            fractions[s] += taken * step
