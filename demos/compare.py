@@ -104,7 +104,9 @@ class Comparison:
             faces = f"{len(mesh.triangles):,} faces"
             text = faces if level == 0 else f"{faces}, ±{1e3 * mesh.error_m:.1f} mm"
             lit.append(self.studio.picture([actor], camera, size, floor=floor, lod=level))
-            wires.append(label(self.studio.picture([actor], camera, size, view="wireframe", lod=level), text, size_px=18))
+            wires.append(
+                label(self.studio.picture([actor], camera, size, view="wireframe", lod=level), text, size_px=18)
+            )
         return [lit, wires]
 
 

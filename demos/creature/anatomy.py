@@ -193,6 +193,9 @@ _EDGE_M = {
 
 def edge_lengths(field: Field, points: Floats) -> Floats:
     """Wanted triangle edge at (N, 3) points, metres: finer where the shape is fine, and near the toes."""
-    wanted = field.regions_at(points) @ np.array([_EDGE_M[region] for region in field.regions])
+    mix = field.regions_at(points)
+    wanted = np.zeros(len(points))
+    for region, share in zip(field.regions, mix.T, strict=True):
+        wanted += _EDGE_M[region] * share
     low = np.clip((0.075 - points[:, 1]) / 0.03, 0.0, 1.0)
     return wanted * (1.0 - 0.22 * low)

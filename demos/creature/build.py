@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from demos.creature.anatomy import build_body, edge_lengths
 from demos.creature.charts import HEAD, assign_parts, cut_charts
 from demos.creature.clips import build_clips
 from demos.creature.field import Field
+from demos.creature.motion import Motion
 from demos.creature.pack import pack_charts
-from demos.creature.paint import paint
+from demos.creature.paint import Textures, paint
 from demos.creature.polygonise import mirror_half, polygonise_half
 from demos.creature.remesh import remesh, smooth_seams
-from demos.creature.skeleton import build_joints
+from demos.creature.skeleton import Joints, build_joints
 from demos.creature.surface import Floats
 from demos.creature.texels import BodyMesh, compute_tangents
 from demos.creature.unwrap import flatten_charts, split_at_cuts
@@ -66,10 +69,43 @@ def ambient_occlusion(field: Field, mesh: BodyMesh) -> Floats:
     return np.clip(seen, 0.0, 1.0)
 
 
-def build_creature(path: Path) -> None:
-    """Model, cut, skin, paint and animate the dragon, and write it as a .glb."""
+@dataclass(frozen=True)
+class Creature:
+    """The whole dragon in memory. V surface vertices.
+
+    Attributes
+    ----------
+    mesh : BodyMesh
+    joints : Joints
+    joint_indices : (V, 4) uint16
+    joint_weights : (V, 4) float32
+    textures : Textures
+    clips : tuple of Motion
+    """
+
+    mesh: BodyMesh
+    joints: Joints
+    joint_indices: NDArray[np.uint16]
+    joint_weights: NDArray[np.float32]
+    textures: Textures
+    clips: tuple[Motion, ...]
+
+
+def model_creature() -> Creature:
+    """Model, cut, skin, paint and animate the dragon."""
     field, joints = build_body(), build_joints()
     mesh = build_mesh(field)
     joint_indices, joint_weights = compute_weights(field, joints, mesh.points, mesh.faces)
     textures = paint(field, mesh, ambient_occlusion(field, mesh))
-    write_creature(path, mesh, joints, joint_indices, joint_weights, textures, build_clips(joints))
+    return Creature(mesh, joints, joint_indices, joint_weights, textures, build_clips(joints))
+
+
+def write(path: Path, creature: Creature) -> None:
+    """Write the dragon as a .glb."""
+    c = creature
+    write_creature(path, c.mesh, c.joints, c.joint_indices, c.joint_weights, c.textures, c.clips)
+
+
+def build_creature(path: Path) -> None:
+    """Make the dragon and write it as a .glb."""
+    write(path, model_creature())

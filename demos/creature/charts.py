@@ -71,9 +71,7 @@ def assign_parts(field: Field, points: Floats) -> Ints:
     return parts
 
 
-def _slit_path(
-    points: Floats, edges: Ints, inside: NDArray[np.bool_], border: NDArray[np.bool_], line: Floats
-) -> Ints:
+def _slit_path(points: Floats, edges: Ints, inside: NDArray[np.bool_], border: NDArray[np.bool_], line: Floats) -> Ints:
     """Cheapest vertex path along a guiding polyline, from the chart's border to the line's end inside."""
     inner = inside & ~border
     both = np.concatenate([edges, edges[:, ::-1]])
@@ -89,7 +87,8 @@ def _slit_path(
     graph = sparse.coo_matrix((cost, (usable[:, 0], usable[:, 1])), shape=(len(points), len(points))).tocsr()
     candidates = np.flatnonzero(inner)
     last = int(candidates[np.linalg.norm(points[candidates] - line[-1], axis=1).argmin()])
-    reach, before = dijkstra(graph, indices=last, return_predecessors=True)
+    distances, predecessors = dijkstra(graph, directed=True, indices=np.array([last]), return_predecessors=True)
+    reach, before = distances[0], predecessors[0]
     starts = np.flatnonzero(inside & border & np.isfinite(reach))
     away = np.linalg.norm(points[starts] - line[0], axis=1)
     path = [int(starts[(reach[starts] + 20.0 * away).argmin()])]

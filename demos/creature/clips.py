@@ -137,20 +137,21 @@ def _greet(joints: Joints) -> Motion:
     motion.rotate_pair("wing", z=26.0 * hold + 18.0 * bob - 6.0 * crouch, y=-10.0 * hold)
     motion.rotate_pair("wing_tip", z=8.0 * hold + 14.0 * np.sin(2 * np.pi * 4.0 * (motion.phase - 0.23)) * hold)
     _plant_all(motion, ("foot",))
-    _raise_hand(motion, "L", np.array([0.335, 0.60, 0.17]), up, crouch, wave)
-    _raise_hand(motion, "R", np.array([-0.145, 0.42, 0.23]), up, crouch, 0.3 * bob)
+    lift = _pulse(motion, 0.04, 0.24, 0.76, 0.965)  # hands leave before the chest does and come back after it
+    _raise_hand(motion, "L", np.array([0.325, 0.585, 0.16]), lift, wave)
+    _raise_hand(motion, "R", np.array([-0.150, 0.43, 0.20]), lift, 0.3 * bob)
     return motion
 
 
-def _raise_hand(motion: Motion, side: str, raised: Floats, up: Floats, crouch: Floats, wave: Floats) -> None:
+def _raise_hand(motion: Motion, side: str, raised: Floats, up: Floats, wave: Floats) -> None:
     """Hand from the ground to a raised place, waving from side to side."""
     sign = 1.0 if side == "L" else -1.0
     hand = f"hand.{side}"
     rest = motion.joints.positions[motion.joints.index(hand)]
     lifted = raised + np.outer(wave, [0.035, 0.0, 0.0])
-    place = rest + _smooth(up)[:, None] * (lifted - rest)
+    place = rest + up[:, None] * (lifted - rest)
     tilt = turn(x=-65.0 * up, z=-12.0 * sign * up - 16.0 * wave) if side == "L" else turn(x=25.0 * up)
-    motion.reach(f"upper_arm.{side}", f"forearm.{side}", hand, place, np.array([sign * 0.5, -0.35, -1.0]), tilt)
+    motion.reach(f"upper_arm.{side}", f"forearm.{side}", hand, place, np.array([sign * 0.6, -0.5, -1.0]), tilt)
 
 
 def build_clips(joints: Joints) -> tuple[Motion, ...]:

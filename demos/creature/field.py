@@ -40,11 +40,11 @@ class Cone:
         if self.flat_axis is not None:
             normal = np.array(self.flat_axis) / np.linalg.norm(self.flat_axis)
             stretch = 1.0 / self.flatness - 1.0
-            local = local + np.outer(local @ normal * stretch, normal)
-            axis = axis + axis @ normal * stretch * normal
+            local = local + np.outer(_dot(local, normal) * stretch, normal)
+            axis = axis + float(_dot(axis, normal)) * stretch * normal
         length = float(np.linalg.norm(axis))
         axis = axis / length
-        along = local @ axis
+        along = _dot(local, axis)
         across = np.sqrt(np.maximum((local * local).sum(axis=1) - along * along, 0.0))
         # The nearest of the spheres that sweep the cone: its contact direction leans by asin(slope).
         slope = np.clip((self.radius_a - self.radius_b) / length, -0.95, 0.95)
@@ -53,7 +53,7 @@ class Cone:
         size = np.sqrt((from_centre * from_centre).sum(axis=1))
         distance = size - (self.radius_a + t * (self.radius_b - self.radius_a))
         if self.flat_axis is not None:
-            thin = (from_centre @ normal) / np.maximum(size, 1e-9)
+            thin = _dot(from_centre, normal) / np.maximum(size, 1e-9)
             distance = distance / np.sqrt(1.0 + thin * thin * (1.0 / self.flatness**2 - 1.0))
         return distance
 
@@ -72,12 +72,18 @@ class Ellipsoid:
         """Distance of (N, 3) points in metres, exact to first order at the surface."""
         local = points - np.array(self.centre)
         if self.pitch or self.yaw or self.roll:
-            local = local @ _turn(self.pitch, self.yaw, self.roll)
+            axes = _turn(self.pitch, self.yaw, self.roll)
+            local = np.stack([_dot(local, axes[:, k]) for k in range(3)], axis=1)
         scaled = local / np.array(self.radii)
         size = np.sqrt((scaled * scaled).sum(axis=1))
         steep = scaled / np.array(self.radii)
         slope = np.sqrt((steep * steep).sum(axis=1))
         return np.where(slope < 1e-9, -min(self.radii), size * (size - 1.0) / np.maximum(slope, 1e-9))
+
+
+def _dot(points: Floats, direction: Floats) -> Floats:
+    """Dot products, rounded the same way whatever the number of points or threads (matrix products are not)."""
+    return points[..., 0] * direction[0] + points[..., 1] * direction[1] + points[..., 2] * direction[2]
 
 
 def _turn(pitch: float, yaw: float, roll: float) -> Floats:
@@ -121,7 +127,8 @@ class Field:
         """Gradient of the distance by differences at the corners of a small tetrahedron, (N, 3)."""
         corners = np.array([[1, -1, -1], [-1, -1, 1], [-1, 1, -1], [1, 1, 1]]) * step_m
         values = self.distance((points[:, None] + corners).reshape(-1, 3)).reshape(-1, 4)
-        return values @ corners / (4.0 * step_m * step_m)
+        sums = [sum(values[:, i] * corners[i, k] for i in range(4)) for k in range(3)]
+        return np.stack(sums, axis=1) / (4.0 * step_m * step_m)
 
     def project(self, points: Floats, rounds: int = 2) -> Floats:
         """Move (N, 3) points near the skin onto it along the gradient."""
@@ -150,7 +157,7 @@ class Field:
         order = np.argsort(keys, kind="stable")
         starts = np.flatnonzero(np.r_[True, np.diff(keys[order]) > 0])
         groups = np.split(order, starts[1:])
-        centres = (cells[order[starts]] - 512 + 0.5) * _CHUNK_M
+        centres = np.asarray((cells[order[starts]] - 512 + 0.5) * _CHUNK_M, np.float64)
         radius = 0.5 * np.sqrt(3.0) * _CHUNK_M
         at_centre = np.stack([piece.solid.distance(centres) for piece in self.pieces])
         carve = np.array([piece.carve for piece in self.pieces])

@@ -46,7 +46,7 @@ def _mask(uvs: Floats, faces: Ints) -> NDArray[np.bool_] | None:
     _, x, y, _ = cover_texels((uvs * _GRID + 2.0) / _GRID, faces, fine * _GRID)
     image = np.zeros((fine * _GRID, fine * _GRID), bool)
     image[y, x] = True
-    coarse = image.reshape(_GRID, fine, _GRID, fine).any(axis=(1, 3))
+    coarse = np.asarray(image.reshape(_GRID, fine, _GRID, fine).any(axis=(1, 3)))
     grown = ndimage.binary_dilation(coarse, np.ones((3, 3), bool))
     return grown[: extent[1], : extent[0]]
 
@@ -118,6 +118,6 @@ def pack_charts(uvs: Floats, face_uvs: Ints, charts: Ints, densities: Floats) ->
     if best is None:
         raise ValueError("the charts do not fit into the square at any scale tried")
     packed = np.zeros_like(uvs)
-    for index, chart in zip(order, best, strict=True):
-        packed[rows[index]] = chart
+    for index, placed_uvs in zip(order, best, strict=True):
+        packed[rows[index]] = placed_uvs
     return packed

@@ -33,7 +33,7 @@ def _independent(edges: Ints, rank: Ints, all_edges: Ints, num_vertices: int) ->
     around = first.copy()
     np.minimum.at(around, all_edges[:, 0], first[all_edges[:, 1]])
     np.minimum.at(around, all_edges[:, 1], first[all_edges[:, 0]])
-    return (around[edges] >= rank[:, None]).all(axis=1)
+    return np.asarray((around[edges] >= rank[:, None]).all(axis=1))
 
 
 def _collapse_round(points: Floats, faces: Ints, sizes: Floats) -> tuple[Floats, Ints, Floats, int]:

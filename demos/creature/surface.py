@@ -53,4 +53,4 @@ def weighted_laplacian(faces: Ints, weights: Floats, num_vertices: int) -> spars
 def vertex_areas(points: Floats, faces: Ints) -> Floats:
     """A third of the area around each vertex, (V,)."""
     areas = face_normals(points, faces)[1]
-    return np.bincount(faces.reshape(-1), np.repeat(areas / 3.0, 3), minlength=len(points))
+    return np.asarray(np.bincount(faces.reshape(-1), np.repeat(areas / 3.0, 3), minlength=len(points)), np.float64)

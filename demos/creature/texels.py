@@ -156,7 +156,7 @@ def tangent_normals(mesh: BodyMesh, texels: Texels, height: Floats, wanted: Floa
         Unit normals in object space before the height is added.
     """
     image = texels.spread(height[:, None])[..., 0]
-    slope_v, slope_u = np.gradient(image)
+    slope_u, slope_v = np.asarray(np.gradient(image, axis=1)), np.asarray(np.gradient(image, axis=0))
     slope = np.stack([slope_u[texels.y, texels.x], slope_v[texels.y, texels.x]], axis=1) * texels.size
     # The height's gradient on the surface, from its slopes in uv and the triangle's first fundamental form.
     face = texels.face

@@ -132,7 +132,7 @@ def _turn_back(uvs: Floats, faces: Ints, num_faces: int, rounds: int = 40) -> Fl
         moving = np.unique(faces[:num_faces][turned])
         moving = moving[~border[moving]]
         uvs = uvs.copy()
-        uvs[moving] = 0.5 * uvs[moving] + 0.5 * (adjacency[moving] @ uvs) / degree[moving]
+        uvs[moving] = 0.5 * uvs[moving] + 0.5 * np.asarray(adjacency[moving] @ uvs) / degree[moving]
     return uvs
 
 
@@ -154,7 +154,8 @@ def _fill_holes(points: Floats, faces: Ints) -> tuple[Floats, Ints]:
             loop.append(following.pop(loop[-1]))
         loops.append(loop[:-1])
     loops.sort(key=lambda loop: -float(np.linalg.norm(points[loop] - points[np.roll(loop, 1)], axis=1).sum()))
-    centres, fans = [], []
+    centres: list[Floats] = []
+    fans: list[Ints] = []
     for loop in loops[1:]:
         apex = len(points) + len(centres)
         centres.append(points[loop].mean(axis=0))

@@ -93,8 +93,8 @@ def compute_weights(
     laplacian = weighted_laplacian(faces, 0.5 * cotangents, len(points))
     mass = sparse.diags(vertex_areas(points, faces))
     solver = splu((mass + _SPREAD_M**2 * laplacian).tocsc())
-    weights = solver.solve(mass @ _first_guess(field, joints, points))
-    weights = np.maximum(solver.solve(mass @ weights), 0.0) ** 1.35
+    weights = solver.solve(np.asarray(mass @ _first_guess(field, joints, points)))
+    weights = np.maximum(solver.solve(np.asarray(mass @ weights)), 0.0) ** 1.35
     strongest = np.argsort(-weights, axis=1, kind="stable")[:, :_INFLUENCES]
     kept = np.take_along_axis(weights, strongest, axis=1)
     kept = np.maximum(kept / kept.sum(axis=1, keepdims=True) - 0.012, 0.0)

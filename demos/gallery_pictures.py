@@ -1,0 +1,174 @@
+"""The pictures of `demos.gallery`, one function each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from demos.compare import Comparison, close_up, worst_seams
+from demos.headless import create_context, write_png
+from demos.pictures import Pixels, label, side_by_side
+from runtime.asset import load
+from runtime.camera import Camera, framing
+
+HERO_SIZE = (1600, 1100)
+FOVY_DEG = 26.0
+
+
+def draw_pictures(model: Path, built: Path, folder: Path) -> None:
+    """Draw all pictures of a built character and write them.
+
+    Parameters
+    ----------
+    model : Path
+        The file it was built from.
+    built : Path
+    folder : Path
+        Where the pictures go.
+    """
+    ctx = create_context()
+    try:
+        comparison = Comparison(ctx, load(built), model)
+        painters: dict[str, Callable[[Comparison], Pixels]] = {
+            "hero.png": hero,
+            "levels.png": levels,
+            "distance.png": distance,
+            "walk.png": walk,
+            "greet.png": greet,
+            "seam.png": seam,
+            "views.png": views,
+            "wireframe.png": wireframe,
+            "atlas.png": atlas,
+        }
+        for name, painter in painters.items():
+            write_png(folder / name, painter(comparison))
+    finally:
+        ctx.release()
+
+
+def _camera(
+    comparison: Comparison, direction: tuple[float, float, float], aspect: float, margin: float = 1.0
+) -> Camera:
+    return framing(comparison.asset.manifest.bind_bounds, aspect, FOVY_DEG, direction, margin)
+
+
+def hero(comparison: Comparison) -> Pixels:
+    """The character in a walking step, lit."""
+    actor = comparison.after.actor(clip="walk", time_s=0.62)
+    camera = _camera(comparison, (0.62, 0.20, 1.0), HERO_SIZE[0] / HERO_SIZE[1], 0.86)
+    floor = comparison.asset.manifest.bind_bounds
+    return comparison.studio.picture([actor], camera, HERO_SIZE, floor=floor, lod=0, tessellation="auto")
+
+
+def levels(comparison: Comparison) -> Pixels:
+    """Every level of detail, lit and as a wireframe."""
+    actor = comparison.after.actor(clip="idle", time_s=0.0)
+    size = (400, 380)
+    return side_by_side(comparison.levels(actor, _camera(comparison, (0.9, 0.25, 1.0), size[0] / size[1]), size))
+
+
+def distance(comparison: Comparison) -> Pixels:
+    """Levels chosen by distance, coloured by level, beside the same lit."""
+    box = comparison.asset.manifest.bind_bounds
+    actors = []
+    for index, z in enumerate((0.0, -2.2, -5.5, -10.5, -18.0)):
+        transform = np.eye(4)
+        transform[:3, 3] = (-1.1 * index - 0.12 * index**2, 0.0, z)
+        actors.append(comparison.after.actor(clip="walk", time_s=0.21 * index, transform=transform))
+    near = _camera(comparison, (0.75, 0.42, 1.0), 0.8, 1.0)
+    eye = np.asarray(near.eye)
+    target = np.asarray(near.target) + np.array([-0.95, 0.12, -1.0])
+    camera = Camera(tuple(eye + np.array([0.1, 0.25, 0.2])), tuple(target), fovy_deg=34.0)  # type: ignore[arg-type]
+    size = (900, 620)
+    lit = comparison.studio.picture(actors, camera, size, floor=box)
+    colored = comparison.studio.picture(actors, camera, size, view="lod")
+    drawn = comparison.studio.renderer.last_drawn
+    chosen = [drawn[actor].level for actor in actors]
+    return side_by_side([[lit, label(colored, "levels, from near to far: " + ", ".join(map(str, chosen)), size_px=18)]])
+
+
+def _strip(comparison: Comparison, clip: str, times_s: list[float], direction: tuple[float, float, float]) -> Pixels:
+    size = (380, 440) if clip == "greet" else (460, 380)
+    box = comparison.asset.manifest.bind_bounds
+    whole = np.asarray(comparison.asset.manifest.clip_bounds.get(clip, box))
+    seen = np.stack([np.minimum(box[0], 0.35 * whole[0] + 0.65 * box[0]), 0.35 * whole[1] + 0.65 * box[1]])
+    seen[0, 1] = box[0, 1]
+    camera = framing(seen, size[0] / size[1], FOVY_DEG, direction, 1.0)
+    panels = []
+    for time_s in times_s:
+        actor = comparison.after.actor(clip=clip, time_s=time_s)
+        picture = comparison.studio.picture([actor], camera, size, floor=box, lod=0)
+        panels.append(label(picture, f"{time_s:.2f} s", size_px=16))
+    half = -(-len(panels) // 2)
+    return side_by_side([panels[:half], panels[half:]])
+
+
+def walk(comparison: Comparison) -> Pixels:
+    """Eight moments of the walk, from the side."""
+    return _strip(comparison, "walk", [1.1 * k / 8 for k in range(8)], (1.0, 0.16, 0.45))
+
+
+def greet(comparison: Comparison) -> Pixels:
+    """Eight moments of the greeting, from the front."""
+    return _strip(comparison, "greet", [0.0, 0.36, 0.7, 0.98, 1.3, 1.62, 2.2, 3.0], (0.5, 0.12, 1.0))
+
+
+def seam(comparison: Comparison) -> Pixels:
+    """Two seams from close by, before and after: lit, and the base colour alone."""
+    assert comparison.before_asset is not None
+    rows = []
+    for place in worst_seams(comparison.asset, comparison.before_asset, 2):
+        camera = close_up(comparison.asset, *place)
+        row: list[Pixels] = []
+        for view in ("lit", "base_color"):
+            before, after = comparison.seam_pair(camera, (480, 440), view)
+            row += [label(before, "as baked", size_px=18), label(after, "seams erased", size_px=18)]
+        rows.append(row)
+    return side_by_side(rows)
+
+
+def views(comparison: Comparison) -> Pixels:
+    """The signals that textures hold."""
+    size = (470, 420)
+    actor = comparison.after.actor()
+    camera = _camera(comparison, (0.8, 0.2, 1.0), size[0] / size[1])
+    panels = [
+        label(comparison.studio.picture([actor], camera, size, view=view, lod=0), view.replace("_", " "), size_px=18)
+        for view in ("base_color", "normal", "position", "weights")
+    ]
+    return side_by_side([panels])
+
+
+def wireframe(comparison: Comparison) -> Pixels:
+    """Triangles of the finest level, and the seams of the atlas."""
+    size = (940, 760)
+    actor = comparison.after.actor()
+    camera = _camera(comparison, (0.7, 0.2, 1.0), size[0] / size[1])
+    return side_by_side(
+        [[comparison.studio.picture([actor], camera, size, view=view, lod=0) for view in ("wireframe", "seams")]]
+    )
+
+
+def atlas(comparison: Comparison) -> Pixels:
+    """The stored base colour with chart outlines over it, beside the normals."""
+    side = 1024
+    asset = comparison.asset
+    panels = []
+    for name in ("base_color", "normal"):
+        texels = asset.textures[name].levels[0][..., :3]
+        shown = texels if texels.dtype == np.uint8 else (texels / 65535.0 * 255.0).astype(np.uint8)
+        panels.append(np.asarray(Image.fromarray(np.ascontiguousarray(shown)).resize((side, side))))
+    mesh = asset.lods[0]
+    corners = mesh.triangles.astype(np.int64)
+    start, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    _, first, count = np.unique(low * len(mesh.uvs) + high, return_index=True, return_counts=True)
+    outline = first[count == 1]
+    image = Image.fromarray(panels[0])
+    pen = ImageDraw.Draw(image)
+    for a, b in zip(mesh.uvs[start[outline]] * side, mesh.uvs[end[outline]] * side, strict=True):
+        pen.line([tuple(a.tolist()), tuple(b.tolist())], fill=(255, 255, 255), width=2)
+    return side_by_side([[np.asarray(image), panels[1]]])
