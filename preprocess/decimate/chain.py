@@ -161,7 +161,7 @@ def _relaxed_levels(
     A level is used where its error is about a pixel, and the mip level there has texels of about a pixel, so half a
     texel of that mip is half of the error, as a length on the surface. How large the error will be is not known
     before, so a few allowances are tried, from that of the level before (a lower bound) upwards: the first that
-    reaches the target, else the largest, if what was used of it fits the error that came of it.
+    reaches the target, else the largest, if what was used of it fits the error that came of it; else the least.
     """
     lods: list[Lod] = []
     last = finest
@@ -172,7 +172,7 @@ def _relaxed_levels(
             attempt.run_to(target)
         attempts = [attempt for attempt in attempts if attempt.num_faces <= (1 - MIN_SAVING_REL) * last.num_faces]
         reaching = [attempt for attempt in attempts if attempt.num_faces <= target]
-        for attempt in (*reaching[:1], *reversed(attempts[: len(attempts) - len(reaching)])):
+        for attempt in (*(reaching[:1] or attempts[-1:]), *attempts[:1]):
             lod = _measured(reference, attempt.snapshot(), last.error_m)
             if attempt.deviation_uv * engine.metres_per_uv <= options.relaxed_px * lod.error_m:
                 exact = attempt.deviation_uv <= options.seam_tolerance_uv

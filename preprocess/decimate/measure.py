@@ -17,7 +17,7 @@ from preprocess.mesh import Floats, Ints, TexturedSurface
 
 # Samples over the area of each mesh, and how many of its vertices besides; with many poses, in each of them.
 NUM_SAMPLES = 8192
-NUM_SAMPLES_POSED = 4096
+NUM_SAMPLES_POSED = 2048
 # The R2 sequence (Roberts 2018): successive multiples of these, modulo one, cover the square evenly.
 _R2 = (0.7548776662466927, 0.5698402909980532)
 
