@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +11,11 @@ import numpy as np
 
 from preprocess.atlas import Atlas, build_atlas
 from preprocess.decimate import DecimateOptions, Lod, decimate
-from preprocess.folder import whole_folder
+from preprocess.folder import MANIFEST, whole_folder
 from preprocess.gltf import Character, load_character
 from preprocess.mesh import Floats
 from preprocess.progress import Progress
+from preprocess.report import write_report
 from preprocess.settings import Settings, floor_faces
 from preprocess.textures import StoredTexture, TextureStage
 from preprocess.write import LodRow, write_folder
@@ -73,7 +75,8 @@ def build(model: Path, destination: Path, settings: Settings, progress: Progress
             stage.delta = f"{atlas.mode}, {atlas.num_charts} charts, floor {atlas.floor_faces} faces"
         poses = sample_poses(character)
         with progress.stage("textures") as stage:
-            textures = TextureStage(character, atlas, poses, settings).build()
+            baking = TextureStage(character, atlas, poses, settings)
+            textures = baking.build()
             stage.delta = ", ".join(f"{t.name} {t.size[0]}×{t.size[1]}" for t in textures)
         with progress.stage("levels") as stage:
             lods, notes = _build_lods(atlas, textures, poses, settings)
@@ -81,6 +84,9 @@ def build(model: Path, destination: Path, settings: Settings, progress: Progress
         warnings = (*character.warnings, *atlas.warnings, *notes)
         with progress.stage("write"):
             rows = write_folder(folder, character, atlas, textures, lods, settings, warnings, progress.seconds)
+            if settings.report:
+                manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+                write_report(folder / "report.html", manifest, atlas.mesh.surface, baking.draw_decisions())
     return BuildResult(rows, warnings, dict(progress.seconds))
 
 

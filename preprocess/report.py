@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from preprocess.images import Image, write_image
 from preprocess.mesh import TexturedSurface
 from preprocess.raster import rasterise
-from preprocess.seams import Seams
 
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 64rem; margin: 2rem auto; padding: 0 1rem; color: #222; }
@@ -73,10 +72,12 @@ def _seam_rows(textures: Mapping[str, Any]) -> list[dict[str, Any]]:
     rows = []
     for name, texture in textures.items():
         row: dict[str, Any] = {"texture": name, "size": "×".join(map(str, texture["size"])), "mips": texture["mips"]}
-        for moment, values in texture.get("seam", {}).items():
-            levels = values if isinstance(values, list) else [values]
+        seam = texture["seam"]
+        for moment in ("before", "after", "stored"):
+            levels = seam[moment] if isinstance(seam[moment], list) else [seam[moment]]
             for measure in ("rms", "max"):
                 row[f"{moment} {measure}"] = max((level[measure] for level in levels), default=0.0)
+        row["seam edges left"] = seam.get("left", 0)
         rows.append(row)
     return rows
 
@@ -111,21 +112,6 @@ def draw_atlas(surface: TexturedSurface, size_px: int = PICTURE_PX) -> NDArray[n
     inside = coverage.inside
     near_edge = coverage.barycentrics[inside].min(axis=1) < 0.06
     picture[inside] = palette[charts[coverage.faces[inside]]] * np.where(near_edge, 0.85, 1.0)[:, None]
-    return picture
-
-
-def draw_seams(
-    surface: TexturedSurface, seams: Seams, values: NDArray[np.floating], size_px: int = PICTURE_PX
-) -> NDArray[np.float64]:
-    """The atlas in grey with each seam coloured by a value in [0, 1]: blue low, red high. (H, W, 3) float64."""
-    picture = 0.25 * draw_atlas(surface, size_px) + 0.75
-    fractions = np.linspace(0.0, 1.0, 4 * size_px // 16)
-    for side in range(2):
-        ends = surface.uvs[seams.uv_pairs[:, side]]
-        points = ends[:, None, 0] + fractions[None, :, None] * (ends[:, None, 1] - ends[:, None, 0])
-        px = np.clip((points * size_px).astype(int), 0, size_px - 1)
-        color = np.stack([values, 0.15 + 0 * values, 1.0 - values], axis=1)[:, None]
-        picture[px[..., 1], px[..., 0]] = np.broadcast_to(color, (*px.shape[:2], 3))
     return picture
 
 

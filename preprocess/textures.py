@@ -25,7 +25,7 @@ from preprocess.erase import (
     measure_seams,
     plan_erasure,
 )
-from preprocess.erase.faults import Decision, choose_color_seams, choose_normal_seams
+from preprocess.erase.faults import Decision, choose_color_seams, choose_normal_seams, draw_decision
 from preprocess.gltf import Character
 from preprocess.gltf.tangents import corner_tangents
 from preprocess.materials import BakedTexture, bake_materials, bake_normals
@@ -33,13 +33,16 @@ from preprocess.mesh import Floats, SkinnedMesh
 from preprocess.raster import Coverage
 from preprocess.seams import Seams, find_seams
 from preprocess.settings import Settings
-from preprocess.sizes import choose_geometry_size, choose_weight_size
+from preprocess.sizes import bake_positions_auto, bake_weights_auto
 from preprocess.weights import pack_weights, unpack_weights
 
 log = logging.getLogger(__name__)
 
+PICTURE_PX = 768  # side of the pictures for the report
 STEPS = {"uint8": 255, "uint16": 65535}
-SEAM_WEIGHT = 1e8  # see EraseOptions.seam_weight: leaves about 0.01 of an 8-bit step on straightened seams
+# Weights of the mean squared jump (see EraseOptions.seam_weight). Geometry is owned, so it need not be closed further
+# than its texels resolve; what is seen is closed to under half an 8-bit step.
+GEOMETRY_SEAM_WEIGHT, COLOR_SEAM_WEIGHT = 1e8, 1e10
 # Positions and weights at the full mesh's vertices weigh as much as seams do: shared points are owned and cannot crack,
 # so a jump of a hundred-thousandth of the size beside a seam costs less than a vertex out of place.
 GEOMETRY_WEIGHTS = dataclasses.replace(LOCAL, samples=1e8)
@@ -109,12 +112,12 @@ class TextureStage:
     def options(self, joined: NDArray[np.bool_] | None) -> EraseOptions:
         """How seams are erased here."""
         weights = GLOBAL if self.settings.seams == "global" else LOCAL
-        return EraseOptions(weights=weights, joined=joined, seam_weight=SEAM_WEIGHT)
+        return EraseOptions(weights=weights, joined=joined, seam_weight=COLOR_SEAM_WEIGHT)
 
     def geometry_eraser(self, size: tuple[int, int]) -> Eraser:
         """The erasure of positions and weights: all seams joined, values known at the vertices. Once a size."""
         if size not in self._geometry_erasers:
-            options = EraseOptions(weights=GEOMETRY_WEIGHTS, seam_weight=SEAM_WEIGHT)
+            options = EraseOptions(weights=GEOMETRY_WEIGHTS, seam_weight=GEOMETRY_SEAM_WEIGHT)
             self._geometry_erasers[size] = plan_erasure(
                 self.mesh.surface, self.seams, *size, options, sample_uvs=self.mesh.surface.uvs
             )
@@ -126,10 +129,10 @@ class TextureStage:
 
     def position(self) -> StoredTexture:
         """Object-space positions in 32-bit float; right at the vertices of the full mesh."""
-        side = self.settings.geometry_size_px or choose_geometry_size(self.mesh)
-        size = (side, side)
+        side = self.settings.geometry_size_px
+        baked = bake_positions(self.mesh, (side, side)) if side else bake_positions_auto(self.mesh)
+        size = (baked.shape[1], baked.shape[0])
         values = vertex_values(self.mesh, self.mesh.surface.positions)
-        baked = bake_positions(self.mesh, size)
         erased = self.geometry_eraser(size).erase(baked, sample_values=values).texels
         stored = erased.astype(np.float32)
         return StoredTexture("position", (stored,), "float", size, self._seam(baked, erased, stored))
@@ -137,9 +140,12 @@ class TextureStage:
     def weights(self) -> StoredTexture:
         """Joint weights, 8 bits each (16 with more than 256 joints), a partition of unity as stored."""
         num_joints = self.character.skeleton.num_joints
-        side = self.settings.weight_size_px or choose_weight_size(self.mesh, self.poses)
-        size = (side, side)
-        baked = bake_weights(self.mesh, num_joints, size)
+        side = self.settings.weight_size_px
+        if side:
+            baked = bake_weights(self.mesh, num_joints, (side, side))
+        else:
+            baked = bake_weights_auto(self.mesh, self.poses)
+        size = (baked.shape[1], baked.shape[0])
         used = np.flatnonzero(baked.max(axis=(0, 1)) > 0)
         values = vertex_values(self.mesh, self.mesh.dense_weights(num_joints)[:, used])
         erased = np.zeros_like(baked)
@@ -181,6 +187,15 @@ class TextureStage:
         stored = self._store(texture.name, texture.texels, texture.format, srgb_channels, decision)
         # What is copied lacks the material's factors: the model keeps them (model_materials.py).
         return dataclasses.replace(stored, extra={**stored.extra, "copied": texture.copied})
+
+    def draw_decisions(self) -> dict[str, Floats]:
+        """Pictures, by caption, of which seams were joined and which were taken for creases or painted borders."""
+        size = (PICTURE_PX, PICTURE_PX, 3)
+        pictures = {}
+        for name, decision in self.decisions.items():
+            caption = f"{name}: {decision.num_left} of {len(decision.joined)} seam edges left (red)"
+            pictures[caption] = draw_decision(np.full(size, 0.5), self.mesh.surface, self.seams, decision)
+        return pictures
 
     def _find_made_seams(self) -> NDArray[np.bool_]:
         """Seams inside one material that the atlas made and the source did not have, (S,) bool."""

@@ -151,7 +151,7 @@ def round_strip(values: Floats, strip: SeamStrip, levels: int) -> Floats:
     settings = (TOLERATED, STAY, LIMIT, GROWTH, MAX_ROUNDS)
     result = rounded.copy()
     for channel in range(len(wanted)):
-        if np.abs(rows @ wanted[channel]).max(initial=0.0) > 1.0:
+        if levels > 255 and np.abs(rows @ wanted[channel]).max(initial=0.0) > 1.0:
             continue  # the solution itself jumps by more than a step (a finite seam weight): rounding adds nothing
         _search(
             rows.indptr, rows.indices, columns.indptr, columns.indices, columns.data,

@@ -1,0 +1,127 @@
+"""`python -m preprocess check DIR`: measure a built character again, from its files alone.
+
+Nothing is taken from the manifest but names and what it claims: seams are found on the stored meshes, jumps are
+measured on the stored texels, and each claim that does not hold is named.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from preprocess.atlas.overlap import find_overlap
+from preprocess.erase import measure_seams
+from preprocess.errors import InputError
+from preprocess.mesh import Floats, TexturedSurface
+from preprocess.seams import Seams, find_seams
+from preprocess.texels import sample_bilinear
+from preprocess.weights import unpack_weights
+from runtime.asset import Asset, LodMesh, load
+from runtime.errors import AssetError
+
+log = logging.getLogger(__name__)
+
+# A claim holds when the new measure is no worse than this: uvs are stored in 32 bits, and seams found anew.
+SLACK_REL, SLACK_ABS = 1.05, 1e-6
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The folder."""
+    parser.add_argument("folder", type=Path, metavar="DIR")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print every measure; refuse the folder if a claim of its manifest does not hold.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be read, or a claim fails: one line with the first, and how many.
+    """
+    try:
+        asset = load(arguments.folder)
+    except AssetError as error:
+        raise InputError(str(error)) from None
+    failures = []
+    for label, text, holds in measure_asset(asset):
+        print(f"{label:<24}{text}{'' if holds else '   DIFFERS'}")
+        if not holds:
+            failures.append(label)
+    if failures:
+        raise InputError(
+            f"{arguments.folder}: {len(failures)} measures differ from the manifest (the first: {failures[0]}): "
+            "build the character again"
+        )
+    return 0
+
+
+def measure_asset(asset: Asset) -> Iterator[tuple[str, str, bool]]:
+    """Label, measure in words, and whether the manifest's claim holds, for everything that can be measured."""
+    manifest = asset.manifest.json
+    finest = surface_of(asset, asset.lods[0])
+    seams = find_seams(finest)
+    found = find_overlap(finest.uvs, finest.face_uvs)
+    overlap = found.num_pairs + found.num_flat
+    yield "overlapping faces", str(overlap), overlap <= manifest["atlas"]["overlap"]
+    for name, entry in manifest["textures"].items():
+        for level, texels in enumerate(_levels(asset, name)):
+            claim = entry["seam"]["stored"][level]
+            rms, largest = _jump(texels, finest, seams, entry["seam"].get("left", 0))
+            holds = rms <= SLACK_REL * claim["rms"] + SLACK_ABS and largest <= SLACK_REL * claim["max"] + SLACK_ABS
+            yield f"{name} level {level}", f"jump rms {rms:.3g} max {largest:.3g}", holds
+    edges = _open_edges(finest)
+    for index, (lod, entry) in enumerate(zip(asset.lods, manifest["lods"])):
+        surface = surface_of(asset, lod)
+        watertight = _open_edges(surface) <= edges
+        yield (
+            f"level of detail {index}",
+            f"{len(lod.triangles)} faces, {len(surface.positions)} vertices, error {lod.error_m:.3g} m"
+            f"{'' if watertight else ', not as closed as the full mesh'}",
+            watertight and len(lod.triangles) == entry["faces"] and len(surface.positions) == entry["vertices"],
+        )
+
+
+def surface_of(asset: Asset, lod: LodMesh) -> TexturedSurface:
+    """A stored level as a mesh: copies with one owner are one surface vertex."""
+    owners, vertex_of = np.unique(lod.owner_uvs, axis=0, return_inverse=True)
+    uvs, uv_of = np.unique(np.c_[vertex_of.reshape(-1), lod.uvs], axis=0, return_inverse=True)
+    position = asset.textures["position"].levels[0]
+    return TexturedSurface(
+        sample_bilinear(position, owners.astype(np.float64)),
+        vertex_of.reshape(-1)[lod.triangles].astype(np.int32),
+        uvs[:, 1:].astype(np.float64),
+        uv_of.reshape(-1)[lod.triangles].astype(np.int32),
+    )
+
+
+def _levels(asset: Asset, name: str) -> Iterator[Floats]:
+    """Mip levels as values: integers in [0, 1], weights a joint."""
+    for texels in asset.textures[name].levels:
+        if name == "weights":
+            yield unpack_weights(texels, asset.weight_size, asset.skeleton.num_joints)
+        elif texels.dtype.kind == "u":
+            yield texels / float(np.iinfo(texels.dtype).max)
+        else:
+            yield texels.astype(np.float64)
+
+
+def _jump(texels: Floats, surface: TexturedSurface, seams: Seams, left: int) -> tuple[float, float]:
+    """Jump rms and max over all seams but the `left` worst, which were left on purpose."""
+    joined = None
+    if left:
+        per_seam = measure_seams(texels, surface, seams).seam_rms.max(axis=1)
+        joined = np.ones(len(per_seam), bool)
+        joined[np.argsort(per_seam)[-left:]] = False
+    result = measure_seams(texels, surface, seams, joined=joined)
+    return float(np.sqrt(result.total.sum())), float(result.max.max(initial=0.0))
+
+
+def _open_edges(surface: TexturedSurface) -> int:
+    """Number of edges with one face."""
+    edges = np.sort(surface.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    _, counts = np.unique(edges, axis=0, return_counts=True)
+    return int((counts == 1).sum())
