@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from builders_asset import CENTRE, RADII, build_ball, surface_point
 
+from benchmarks._points import MIN_VERSION_CODE, PointCapture, differing_points
 from runtime.asset import Asset, LodMesh, load
 from runtime.camera import Camera
 from runtime.gl_state import saved_state
@@ -145,104 +146,22 @@ def test_one_side_moved_by_a_millionth_is_seen(ctx: moderngl.Context, ball: Asse
     assert sweep(ctx, moved, lod=0, tessellation="off") > 0
 
 
-def capture_program(ctx: moderngl.Context, defines: dict[str, int]) -> moderngl.Program:
-    """The tessellating program with an evaluation shader that also writes every point into a storage buffer."""
-    texts = {name: assemble(name, 410, defines).text for name in ("patch.vert", "patch.tesc", "patch.tese")}
-    texts = {name: text.replace("#version 410 core", "#version 430 core") for name, text in texts.items()}
-    texts["patch.tese"] = (
-        texts["patch.tese"].replace("void main()", "void evaluate()")
-        + """
-layout(std430) buffer Points { uint num_points; uint unused[3]; vec4 points[]; };
-void main() {
-    evaluate();
-    uint at = atomicAdd(num_points, 1u);
-    points[3u * at] = vec4(surface_position, gl_TessCoord.x);
-    points[3u * at + 1u] = vec4(gl_TessCoord.yz, corner_owner_uv[0]);
-    points[3u * at + 2u] = vec4(corner_owner_uv[1], corner_owner_uv[2]);
-}
-"""
-    )
-    return ctx.program(
-        vertex_shader=texts["patch.vert"],
-        tess_control_shader=texts["patch.tesc"],
-        tess_evaluation_shader=texts["patch.tese"],
-        fragment_shader="#version 430 core\nout vec4 result; void main() { result = vec4(1.0); }",
-    )
-
-
 def captured_points(
     ctx: moderngl.Context, asset: Asset, tessellation: float | str, defines: dict[str, int]
 ) -> np.ndarray:
-    """Every evaluated point, (N, 12) float32: position (3), place in its patch (3), owner uvs of its corners (6)."""
-    model, renderer = Model(ctx, asset), Renderer(ctx)
-    program = capture_program(ctx, defines)
-    program["Points"].binding = 3
-    program["Frame"].binding = 0
-    renderer._programs["mask", True, False] = program
-    for sampler, unit in TEXTURE_UNITS.items():
-        if sampler in program:
-            program[sampler].value = unit
-    storage = ctx.buffer(reserve=16 + 48 * 300_000)
-    storage.clear()
-    storage.bind_to_storage_buffer(3)
+    """Every point of the coarsest level in one bent pose."""
+    if ctx.version_code < MIN_VERSION_CODE:
+        pytest.skip("reading points back needs storage buffers, OpenGL 4.3")
+    model = Model(ctx, asset)
+    capture = PointCapture(model, defines)
     framebuffer = ctx.simple_framebuffer((256, 256), 4)
     framebuffer.use()
-    actor = model.actor(clip="bend", time_s=0.2)
     camera = Camera((0.7, 1.4, 2.0), (0.0, 1.0, 0.0), fovy_deg=60.0)
-    renderer.draw([actor], camera, view="mask", lod=len(asset.lods) - 1, tessellation=tessellation)
-    count = int(np.frombuffer(storage.read(4), np.uint32)[0])
-    points = np.frombuffer(storage.read(48 * count, offset=16), np.float32).reshape(-1, 12).copy()
+    points = capture.points(model.actor(clip="bend", time_s=0.2), camera, len(asset.lods) - 1, tessellation)
     release_framebuffer(framebuffer)
-    storage.release()
-    program.release()
-    actor.release()
-    renderer.release()
+    capture.release()
     model.release()
     return points
-
-
-def shared_points(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Keys (N, 4) that name a point of the surface's edges and corners, bits of its position (N, 3), its patch (N,)."""
-    corner_uvs = np.ascontiguousarray(points[:, 6:]).view(np.int64)
-    _, corners = np.unique(corner_uvs, return_inverse=True)
-    corners = corners.reshape(-1, 3)
-    _, patch = np.unique(corners, axis=0, return_inverse=True)
-    patch = patch.ravel()
-    place = np.ascontiguousarray(points[:, 3:6])
-    keys, rows = [], []
-    for corner in range(3):
-        here = np.flatnonzero(place[:, corner] == 1.0)
-        vertex = corners[here, corner]
-        keys.append(np.stack([vertex, vertex, np.zeros_like(vertex), np.zeros_like(vertex)], axis=1))
-        rows.append(here)
-        other = (corner + 2) % 3  # the edge from this corner to the next
-        here = np.flatnonzero((place[:, other] == 0.0) & (place < 1.0).all(axis=1))
-        a, b = corners[here, corner], corners[here, (corner + 1) % 3]
-        share_a, share_b = (
-            place[:, k].copy().view(np.int32)[here].astype(np.int64) for k in (corner, (corner + 1) % 3)
-        )
-        swap = a > b
-        keys.append(np.stack([np.where(swap, b, a), np.where(swap, a, b), np.where(swap, share_b, share_a),
-                              np.where(swap, share_a, share_b)], axis=1))  # fmt: skip
-        rows.append(here)
-    chosen = np.concatenate(rows)
-    return np.concatenate(keys), np.ascontiguousarray(points[chosen, :3]).view(np.int32), patch[chosen]
-
-
-def differing_points(points: np.ndarray) -> tuple[int, int]:
-    """Shared points whose positions are not the same bits everywhere, and edge points that only one patch makes."""
-    keys, bits, patch = shared_points(points)
-    _, point = np.unique(keys, axis=0, return_inverse=True)
-    point = point.ravel()
-    order = np.lexsort((patch, point))
-    same_point = point[order[1:]] == point[order[:-1]]
-    differ = (bits[order[1:]] != bits[order[:-1]]).any(axis=1) & same_point
-    is_edge = keys[:, 0] != keys[:, 1]
-    patches_of_point = np.zeros(point.max() + 1, int)
-    pairs = np.unique(np.stack([point, patch], axis=1), axis=0)
-    np.add.at(patches_of_point, pairs[:, 0], 1)
-    lonely = patches_of_point[np.unique(point[is_edge])] != 2
-    return int(differ.sum()), int(lonely.sum())
 
 
 @pytest.mark.parametrize("tessellation", [1.0, 5.0, 12.7, "auto"])
@@ -250,16 +169,12 @@ def differing_points(points: np.ndarray) -> tuple[int, int]:
 def test_tessellated_points_are_the_same_bits_on_both_sides(
     ctx: moderngl.Context, ball: Asset, tessellation: float | str, defines: dict[str, int]
 ) -> None:
-    if ctx.version_code < 430:
-        pytest.skip("reading points back needs storage buffers, OpenGL 4.3")
     points = captured_points(ctx, ball, tessellation, defines)
     assert len(points) >= 3 * len(ball.lods[-1].triangles)
     assert differing_points(points) == (0, 0)
 
 
 def test_without_owners_the_bits_differ(ctx: moderngl.Context, ball: Asset) -> None:
-    if ctx.version_code < 430:
-        pytest.skip("reading points back needs storage buffers, OpenGL 4.3")
     points = captured_points(ctx, ball, 5.0, {"WITHOUT_OWNERS": 1})
     assert differing_points(points)[0] > 50
 

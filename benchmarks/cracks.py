@@ -1,0 +1,238 @@
+"""Cracks over whole characters: random frames of all clips, levels, tessellation factors and spacings.
+
+A frame is drawn with front faces white and back faces red. From outside, a closed surface shows no red, from inside
+nothing else: what shows otherwise is a crack, or the body turned inside out by its pose. To tell these apart every
+static frame is drawn again with vertices that nothing can separate, one vertex a surface point; pixels that are wrong
+with our drawing and right with that one are cracks. A tessellated frame has no such twin: its points are read back, and
+those count that two triangles share and that are not the same bits, or that one triangle makes alone. What triangles
+share to the bit no rasteriser of OpenGL may separate. The same frames without the owner scheme, and with one side of
+every seam moved by a millionth of the size, are counted beside it.
+
+Only closed parts of a character are drawn; what is open at its edges shows its inside rightly.
+
+Options: --built DIR ... (built characters), --frames N (in all), --size WxH.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks._points import MIN_VERSION_CODE, PointCapture, differing_points
+from benchmarks._table import print_table
+from demos.headless import Canvas, create_context
+from demos.options import picture_size
+from runtime.actor import Actor
+from runtime.asset import Asset, DrawRange, LodMesh, load
+from runtime.camera import Camera
+from runtime.gpu_asset import Model
+from runtime.renderer import Renderer
+
+BUILT = (Path("out/benchmarks/human.seamless"),)
+SHIFT_REL = 1e-6  # of the control: how far one side of every seam is moved, of the body's diagonal
+
+
+def closed_parts(mesh: LodMesh) -> LodMesh:
+    """The faces of those connected parts whose every edge has two faces."""
+    _, point = np.unique(mesh.owner_uvs, axis=0, return_inverse=True)
+    corners = point.ravel()[mesh.triangles.astype(np.int64)]
+    start, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
+    keys = np.minimum(start, end) * (point.max() + 1) + np.maximum(start, end)
+    _, edge, count = np.unique(keys, return_inverse=True, return_counts=True)
+    part = np.arange(point.max() + 1)
+    while True:  # every point takes the smallest number among its faces' points, until nothing changes
+        lowest = part[corners].min(axis=1)
+        merged = part.copy()
+        np.minimum.at(merged, corners.ravel(), np.repeat(lowest, 3))
+        merged = merged[merged]
+        if (merged == part).all():
+            break
+        part = merged
+    is_open = np.zeros(len(part), bool)
+    is_open[part[corners[(count[edge] != 2).reshape(-1, 3).any(axis=1)]]] = True
+    keep = ~is_open[part[corners[:, 0]]]
+    draws, first = [], 0
+    for draw in mesh.draws:
+        kept = int(keep[draw.first : draw.first + draw.count].sum())
+        draws.append(DrawRange(first, kept, draw.material))
+        first += kept
+    return dataclasses.replace(mesh, triangles=mesh.triangles[keep], draws=tuple(draws))
+
+
+def welded(mesh: LodMesh) -> LodMesh:
+    """The same faces with one vertex a surface point."""
+    owners, point = np.unique(mesh.owner_uvs, axis=0, return_inverse=True)
+    return dataclasses.replace(
+        mesh, uvs=owners, owner_uvs=owners, triangles=point.ravel()[mesh.triangles.astype(np.int64)].astype(np.uint32)
+    )
+
+
+def moved_seams(mesh: LodMesh, shift_uv: float) -> LodMesh:
+    """The owner uv of every copy that is not its own owner, moved."""
+    owners = mesh.owner_uvs.copy()
+    owners[(mesh.uvs != mesh.owner_uvs).any(axis=1)] += np.float32(shift_uv)
+    return dataclasses.replace(mesh, owner_uvs=owners)
+
+
+def metres_a_uv(asset: Asset) -> float:
+    """How far a step in the atlas leads over the body, the median of the finest level's edges."""
+    from preprocess.texels import sample_bilinear
+
+    mesh = asset.lods[0]
+    positions = sample_bilinear(asset.textures["position"].levels[0][:, :, :3], mesh.owner_uvs)
+    a, b = mesh.triangles[:, 0], mesh.triangles[:, 1]
+    uv = np.linalg.norm(mesh.uvs[a] - mesh.uvs[b], axis=1)
+    length = np.linalg.norm(positions[a] - positions[b], axis=1)
+    return float(np.median(length[uv > 0] / uv[uv > 0]))
+
+
+@dataclasses.dataclass(frozen=True)
+class Frame:
+    """What is drawn, from where."""
+
+    clip: int
+    share: float
+    camera: Camera
+    inside: bool
+    level: int
+    tessellation: float | str
+    equal_spacing: bool
+
+
+def frames(asset: Asset, count: int, seed: int) -> Iterator[Frame]:
+    """Random frames, every fourth from inside, half of them tessellated."""
+    rng = np.random.default_rng(seed)
+    low, high = asset.manifest.bind_bounds
+    size = float(np.linalg.norm(high - low))
+    for index in range(count):
+        direction = rng.normal(size=3)
+        direction /= np.linalg.norm(direction)
+        target = rng.uniform(low, high)
+        inside = index % 4 == 3
+        distance = size * (0.02 if inside else rng.uniform(0.55, 2.0))
+        tessellated = index % 2 == 1
+        level = int(rng.integers(len(asset.lods)))
+        if tessellated:  # fine levels need no high factors
+            level = max(level, len(asset.lods) - 3)
+        factor: float | str = float(np.exp(rng.uniform(0, np.log(64))))
+        yield Frame(
+            clip=int(rng.integers(max(len(asset.clips), 1))),
+            share=float(rng.uniform()),
+            camera=Camera(
+                tuple(target + direction * distance),
+                tuple(target),
+                fovy_deg=float(rng.uniform(15, 70)),
+                near_m=size * (0.002 if inside else 0.05),
+                far_m=size * 4,
+            ),
+            inside=inside,
+            level=level,
+            tessellation=("auto" if index % 10 == 1 else factor) if tessellated else "off",
+            equal_spacing=bool(rng.integers(2)),
+        )
+
+
+def facing(canvas: Canvas) -> NDArray[np.int8]:
+    """Of each pixel: 1 front face, -1 back face, 0 nothing. (H, W)"""
+    pixels = canvas.pixels()
+    return np.where(pixels[..., 3] == 0, 0, np.where(pixels[..., 1] > 0, 1, -1)).astype(np.int8)
+
+
+class Drawer:
+    """A character with one set of meshes, drawn one way."""
+
+    def __init__(self, ctx: moderngl.Context, asset: Asset, defines: dict[str, int] | None = None) -> None:
+        self.model = Model(ctx, asset)
+        own = defines or {}
+        self.captures: dict[bool, PointCapture] = {}
+        self.defines = own
+        self.renderers = {equal: Renderer(ctx, shader_defines={**own, **({"EQUAL_SPACING": 1} if equal else {})})
+                          for equal in (False, True)}  # fmt: skip
+
+    def actor(self, frame: Frame) -> Actor:
+        """An actor in the frame's pose."""
+        clips = self.model.asset.clips
+        if not clips:
+            return self.model.actor()
+        return self.model.actor(clip=frame.clip, time_s=frame.share * clips[frame.clip].duration_s)
+
+    def draw(self, canvas: Canvas, frame: Frame) -> NDArray[np.int8]:
+        """A static frame's facing."""
+        actor = self.actor(frame)
+        with canvas.drawing():
+            self.renderers[frame.equal_spacing].draw(
+                [actor], frame.camera, view="facing", lod=frame.level, tessellation="off"
+            )
+        actor.release()
+        return facing(canvas)
+
+    def unlike_points(self, canvas: Canvas, frame: Frame) -> tuple[int, int]:
+        """Points of a tessellated frame, and how many of those that triangles share are not the same bits."""
+        equal = frame.equal_spacing
+        if equal not in self.captures:
+            spacing = {"EQUAL_SPACING": 1} if equal else {}
+            self.captures[equal] = PointCapture(self.model, {**self.defines, **spacing})
+        actor = self.actor(frame)
+        with canvas.drawing():
+            points = self.captures[equal].points(actor, frame.camera, frame.level, frame.tessellation)
+        actor.release()
+        return len(points), sum(differing_points(points)) if len(points) else 0
+
+
+def cracks(seen: NDArray[np.int8], frame: Frame, twin: NDArray[np.int8]) -> int:
+    """Pixels that show what a closed surface hides."""
+    wanted = -1 if frame.inside else 1
+    return int(((seen != wanted) & (twin == wanted)).sum())
+
+
+def measure(ctx: moderngl.Context, folder: Path, count: int, size: tuple[int, int], seed: int) -> dict[str, Any]:
+    """Cracks in random frames of one character."""
+    asset = load(folder)
+    asset = dataclasses.replace(asset, lods=tuple(closed_parts(mesh) for mesh in asset.lods))
+    low, high = asset.manifest.bind_bounds
+    shift_uv = SHIFT_REL * float(np.linalg.norm(high - low)) / metres_a_uv(asset)
+    shifted = dataclasses.replace(asset, lods=tuple(moved_seams(mesh, shift_uv) for mesh in asset.lods))
+    single = dataclasses.replace(asset, lods=tuple(welded(mesh) for mesh in asset.lods))
+    ours, without = Drawer(ctx, asset), Drawer(ctx, asset, {"WITHOUT_OWNERS": 1})
+    moved, twin = Drawer(ctx, shifted), Drawer(ctx, single)
+    canvas = Canvas(ctx, size, smooth=False)
+    result = {"static cracks, px": 0, "without owners, px": 0, "moved by 1e-6, px": 0}
+    bits = {"tessellated points": 0, "unlike bits": 0, "without owners, points": 0}
+    for frame in frames(asset, count, seed):
+        if frame.tessellation == "off":
+            reference = twin.draw(canvas, frame)
+            for name, drawer in zip(result, (ours, without, moved)):
+                result[name] += cracks(drawer.draw(canvas, frame), frame, reference)
+        elif ctx.version_code >= MIN_VERSION_CODE:
+            made, unlike = ours.unlike_points(canvas, frame)
+            bits["tessellated points"] += made
+            bits["unlike bits"] += unlike
+            bits["without owners, points"] += without.unlike_points(canvas, frame)[1]
+    kept = len(asset.lods[0].triangles)
+    return {"character": asset.name, "frames": count, "closed faces": kept, **result, **bits}
+
+
+def run(argv: list[str]) -> list[dict[str, Any]]:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks cracks", allow_abbrev=False)
+    parser.add_argument("--built", type=Path, nargs="+", default=BUILT, help="built characters")
+    parser.add_argument("--frames", type=int, default=500, help="in all (500)")
+    parser.add_argument("--size", type=picture_size, default=(1024, 1024), metavar="WxH")
+    options, _ = parser.parse_known_args(argv)
+    rows = []
+    folders = [folder for folder in options.built if folder.is_dir()]
+    for missing in set(options.built) - set(folders):
+        print(f"no built character in {missing}: python -m preprocess MODEL -o {missing}")
+    for seed, folder in enumerate(folders):
+        ctx = create_context()
+        rows.append(measure(ctx, folder, -(-options.frames // len(folders)), options.size, seed))
+        ctx.release()
+    print_table(rows)
+    return rows
