@@ -44,7 +44,7 @@ SURE_SHARE = 0.8
 ATTEMPTS = 4
 """Unwraps, each for a lower floor, until decimation reaches the one asked for."""
 
-MAX_CROWDED = 0.002
+MAX_CROWDED = 0.0005
 """Share of the used texels that two charts may claim before `auto` packs them anew."""
 
 

@@ -49,7 +49,7 @@ def cotangents(flat: Floats) -> Floats:
     result = np.empty(flat.shape[:2])
     area = np.abs(_cross(flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]))
     longest = np.max([((flat[:, (k + 1) % 3] - flat[:, k]) ** 2).sum(axis=1) for k in range(3)], axis=0)
-    area = np.maximum(area, 1e-3 * longest + 1e-300)
+    area = np.maximum(area, 1e-3 * longest + 1e-30)
     for c in range(3):
         tip = flat[:, (c + 2) % 3]
         result[:, c] = ((flat[:, c] - tip) * (flat[:, (c + 1) % 3] - tip)).sum(axis=1) / area
@@ -64,7 +64,7 @@ def mean_value_weights(flat: Floats) -> Floats:
         b = flat[:, (c + 2) % 3] - flat[:, c]
         lengths = np.sqrt((a**2).sum(axis=1) * (b**2).sum(axis=1))
         sine, cosine = np.abs(_cross(a, b)), (a * b).sum(axis=1)
-        result[:, c] = np.minimum(sine / np.maximum(lengths + cosine, 1e-3 * lengths + 1e-300), 1e3)
+        result[:, c] = np.minimum(sine / np.maximum(lengths + cosine, 1e-3 * lengths + 1e-30), 1e3)
     return np.maximum(result, 1e-4)
 
 
@@ -125,7 +125,7 @@ def flatten_fixed(
     uvs = np.where(boundary[:, None], boundary_uvs, 0.0)
     if inner.any():
         weights = mean_value_weights(flat)
-        lengths = [np.maximum(np.linalg.norm(flat[:, (c + 1) % 3] - flat[:, c], axis=1), 1e-300) for c in range(3)]
+        lengths = [np.maximum(np.linalg.norm(flat[:, (c + 1) % 3] - flat[:, c], axis=1), 1e-30) for c in range(3)]
         uvs = _solve_tutte(uvs, face_uvs, inner, weights, np.stack(lengths, axis=1))
         folds = count_folds(uvs, face_uvs, face_charts, num_charts)
         if folds.any():  # numbers too far apart for mean value weights: uniform ones

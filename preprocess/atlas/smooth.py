@@ -82,7 +82,7 @@ def _edge_squares(positions: Floats, faces: Ints) -> Floats:
     """Squared 3D length opposite each corner, (F, 3), no triangle quite flat: slivers are given some height."""
     a, b, c = (positions[faces[:, k]] for k in range(3))
     squares = np.stack([((b - c) ** 2).sum(axis=1), ((c - a) ** 2).sum(axis=1), ((a - b) ** 2).sum(axis=1)], axis=1)
-    tiny = 1e-6 * squares.max(axis=1) + 1e-12 * squares.max(initial=0.0) + 1e-300
+    tiny = 1e-6 * squares.max(axis=1) + 1e-12 * squares.max(initial=0.0) + 1e-30
     return np.asarray(squares + tiny[:, None])
 
 
@@ -94,7 +94,7 @@ def face_energies(surface: TexturedSurface, uvs: Floats, face_uvs: Ints) -> Floa
     area = 0.5 * np.sqrt(np.maximum(g11 * g22 - g12 * g12, 0))
     double = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
     trace = g11 * (q * q).sum(axis=1) - 2 * g12 * (p * q).sum(axis=1) + g22 * (p * p).sum(axis=1)
-    return 0.5 * area * trace / np.maximum(double * double, 1e-300)
+    return 0.5 * area * trace / np.maximum(double * double, 1e-30)
 
 
 @njit(cache=True)
@@ -193,7 +193,7 @@ def _descend(  # type: ignore[no-untyped-def]
             if hxx > 0.0 and det > 1e-12 * hxx * hyy:
                 dx, dy = -(hyy * gx - hxy * gy) / det, -(hxx * gy - hxy * gx) / det
             else:
-                scale = 1.0 / max(abs(hxx) + abs(hyy), 1e-300)
+                scale = 1.0 / max(abs(hxx) + abs(hyy), 1e-30)
                 dx, dy = -gx * scale, -gy * scale
             parts[0] = v
             count = np.int64(1)

@@ -8,6 +8,7 @@ like (multi-chart geometry images, Sander et al. 2003; seamless texture atlases,
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from dataclasses import dataclass
 from typing import Any
@@ -104,6 +105,10 @@ def unwrap(mesh: SkinnedMesh, floor_faces: int, size_px: int, gutter_px: float, 
     """
     if not mesh.num_faces:
         raise InputError("the mesh has no faces: there is nothing to unwrap")
+    # Work at a size near 1; a power of two changes no bit of any mantissa.
+    extent = float(np.ptp(mesh.surface.positions[mesh.surface.faces.ravel()], axis=0).max())
+    size = float(2.0 ** np.round(np.log2(extent))) if extent > 0 else 1.0
+    mesh = mesh.with_surface(dataclasses.replace(mesh.surface, positions=mesh.surface.positions / size))
     surface = mesh.surface
     edges = find_edges(surface.faces)
     frames = face_frames(surface.positions, surface.faces)
@@ -132,7 +137,7 @@ def unwrap(mesh: SkinnedMesh, floor_faces: int, size_px: int, gutter_px: float, 
         else:
             limit = len(worst) // 2
     uvs = _place_charts(made.charts, made.layout, size_px, gutter_px, min_chart_px)
-    surface = TexturedSurface(made.mesh.surface.positions, made.mesh.surface.faces, uvs, made.layout.face_uvs)
+    surface = TexturedSurface(made.mesh.surface.positions * size, made.mesh.surface.faces, uvs, made.layout.face_uvs)
     return Unwrapped(made.mesh.with_surface(surface), made.layout, made.num_split)
 
 
@@ -314,7 +319,7 @@ def _map_charts(surface: TexturedSurface, layout: Layout) -> _Charts:
     num_charts = layout.num_charts
     side_charts = np.repeat(np.arange(num_charts, dtype=np.int32), layout.num_sides)
     areas: Any = np.bincount(layout.face_charts, face_frames(surface.positions, surface.faces)[0], num_charts)
-    areas_m2 = np.maximum(areas, 1e-12 * max(float(areas.sum()), 1e-300))
+    areas_m2 = np.maximum(areas, max(1e-9 * float(areas.sum()), 1e-9))
     free = flatten_free(points, layout.face_uvs, layout.face_charts, num_charts)
     path_lengths = _path_lengths(surface.positions, layout)
     corners = convex_polygons(free[layout.side_uvs], layout.chart_first, path_lengths[layout.side_paths])
