@@ -1,0 +1,195 @@
+"""Levels of detail: errors in pixels are never underestimated, choices are calm, bounds hold."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+import moderngl
+import numpy as np
+import pytest
+from builders_asset import CHART, build_ball, chart_origin, surface_point
+from scipy.ndimage import distance_transform_edt
+
+from preprocess.texels import sample_bilinear
+from runtime.actor import joint_boxes_of
+from runtime.asset import Asset, load
+from runtime.bounds import pose_bounds
+from runtime.camera import Camera, MatrixCamera
+from runtime.gpu_asset import Model
+from runtime.lod import HYSTERESIS, choose_levels, corners_of, pixels_per_metre, transform_boxes, visible
+from runtime.renderer import Quality, Renderer
+
+SIDE_PX = 256
+ERRORS = np.array([0.0, 0.002, 0.01, 0.05, 0.2])
+
+
+def random_cameras(count: int, seed: int = 5) -> Iterator[Camera]:
+    rng = np.random.default_rng(seed)
+    for _ in range(count):
+        eye = rng.normal(size=3) * rng.uniform(2, 10)
+        yield Camera(tuple(eye), tuple(rng.normal(size=3)), fovy_deg=float(rng.uniform(10, 110)))
+
+
+def project(points: np.ndarray, camera: Camera, width: int, height: int) -> np.ndarray:
+    """Pixel coordinates (N, 2) and depth in front of the eye (N,)."""
+    matrices = camera.matrices(width, height)
+    clip = (points - matrices.eye) @ matrices.clip_from_world[:, :3].T + matrices.clip_from_world[:, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.concatenate([clip[:, :2] / clip[:, 3:] * [width / 2, height / 2], clip[:, 3:]], axis=1)
+
+
+def test_no_displacement_is_larger_on_the_screen_than_said() -> None:
+    rng = np.random.default_rng(0)
+    width, height, metres = 320, 200, 1e-4
+    for camera in random_cameras(60):
+        transform = np.eye(4)
+        transform[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0] * rng.uniform(0.2, 3)
+        box = np.sort(rng.normal(size=(1, 2, 3)), axis=1)
+        corners = transform_boxes(box, transform[None])
+        allowed = pixels_per_metre(corners, transform[None], camera.matrices(width, height), height)[0] * metres
+        points = rng.uniform(box[0, 0], box[0, 1], (400, 3))
+        moved = points + metres * (steps := rng.normal(size=(400, 3))) / np.linalg.norm(steps, axis=1, keepdims=True)
+        a, b = (project(p @ transform[:3, :3].T, camera, width, height) for p in (points, moved))
+        inside = (np.abs(a[:, :2]) < [width / 2, height / 2]).all(axis=1) & (a[:, 2] > 0)
+        if inside.any() and np.isfinite(allowed):
+            assert np.linalg.norm(a[inside, :2] - b[inside, :2], axis=1).max() <= allowed * 1.01
+
+
+def test_what_is_in_view_is_never_culled() -> None:
+    rng = np.random.default_rng(1)
+    for camera in random_cameras(200):
+        box = np.sort(rng.normal(size=(1, 2, 3)), axis=1) * 2
+        points = rng.uniform(box[0, 0], box[0, 1], (300, 3))
+        px = project(points, camera, 300, 200)
+        shown = ((np.abs(px[:, :2]) < [150, 100]).all(axis=1) & (px[:, 2] > 0)).any()
+        if shown:
+            assert visible(corners_of(box), camera.matrices(300, 200))[0]
+
+
+def test_what_is_behind_or_aside_is_culled() -> None:
+    camera = Camera((0, 0, 5), (0, 0, 0)).matrices(100, 100)
+    boxes = np.array([[[-1, -1, -1], [1, 1, 1]], [[-1, -1, 6], [1, 1, 8]], [[50, -1, -1], [52, 1, 1]]], float)
+    assert visible(corners_of(boxes), camera).tolist() == [True, False, False]
+
+
+def test_orthographic_cameras_measure_without_distance() -> None:
+    camera = MatrixCamera(np.eye(4), np.diag([0.5, 0.5, -0.1, 1.0])).matrices(100, 100)
+    corners = corners_of(np.array([[[-1, -1, -9], [1, 1, -1]]], float))
+    assert pixels_per_metre(corners, np.eye(4)[None], camera, 100)[0] == pytest.approx(25.0)
+
+
+def test_levels_are_monotonic_and_under_the_threshold() -> None:
+    scale = np.geomspace(1e5, 1e-3, 400)
+    chosen = choose_levels(ERRORS, scale, 1.0, np.full(400, -1))
+    assert chosen[0] == 0 and chosen[-1] == 4
+    assert (np.diff(chosen) >= 0).all()
+    assert (ERRORS[chosen] * scale <= 1.0).all()
+    assert choose_levels(ERRORS, np.array([np.inf, np.nan]), 1.0, np.array([3, -1]))[0] == 0
+
+
+def test_errors_that_do_not_grow_are_taken_as_growing() -> None:
+    assert choose_levels(np.array([0.0, 0.1, 0.01]), np.array([20.0]), 1.0, np.array([-1]))[0] == 0
+
+
+def test_nothing_changes_at_rest_or_while_trembling() -> None:
+    rng = np.random.default_rng(2)
+    for scale in np.geomspace(1e4, 1e-2, 200):
+        level = choose_levels(ERRORS, np.array([scale]), 1.0, np.array([-1]))
+        level = choose_levels(ERRORS, np.array([scale]), 1.0, level)
+        seen = set()
+        for _ in range(30):
+            trembling = scale * (1 + rng.uniform(-0.4, 0.4) * HYSTERESIS)
+            level = choose_levels(ERRORS, np.array([trembling]), 1.0, level)
+            seen.add(int(level[0]))
+        assert len(seen) <= 2
+        changes = 0
+        for _ in range(30):
+            new = choose_levels(ERRORS, np.array([scale * (1 + rng.uniform(-0.4, 0.4) * HYSTERESIS)]), 1.0, level)
+            changes += int(new[0] != level[0])
+            level = new
+        assert changes <= 1  # once finer, it stays so
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory: pytest.TempPathFactory) -> Asset:
+    """With its levels' errors measured against the formula, as drawn."""
+    asset = load(build_ball(tmp_path_factory.mktemp("lod") / "b.seamless", sizes=(24, 8, 4, 2), position_px=128))
+    texels = asset.textures["position"].levels[0]
+    shares = np.array([(i, j, 8 - i - j) for i in range(9) for j in range(9 - i)]) / 8
+    lods = []
+    for mesh in asset.lods:
+        corners = sample_bilinear(texels, mesh.owner_uvs)[mesh.triangles]
+        uvs = np.einsum("sk,fkc->fsc", shares, mesh.uvs[mesh.triangles].astype(float)).reshape(-1, 2)
+        face = np.argmin([np.abs(uvs - chart_origin(f) - CHART / 2).max(axis=1) for f in range(6)], axis=0)
+        origins = np.array([chart_origin(f) for f in range(6)])[face]
+        truth = surface_point(face, (uvs - origins) / CHART * 2 - 1)
+        drawn = np.einsum("sk,fkc->fsc", shares, corners).reshape(-1, 3)
+        lods.append(dataclasses.replace(mesh, error_m=float(np.linalg.norm(drawn - truth, axis=1).max())))
+    return dataclasses.replace(asset, lods=tuple(lods))
+
+
+def test_silhouettes_move_no_more_than_the_threshold(ctx: moderngl.Context, ball: Asset) -> None:
+    """A fly-through from close up to a pixel or two; each picture against full detail."""
+    threshold = 1.0
+    model, renderer = Model(ctx, ball), Renderer(ctx, quality=Quality(threshold_px=threshold))
+    framebuffer = ctx.simple_framebuffer((SIDE_PX, SIDE_PX), 4)
+    actor = model.actor()
+
+    def mask(camera: Camera, lod: int | str) -> np.ndarray:
+        framebuffer.use()
+        framebuffer.clear(depth=1.0)
+        renderer.draw([actor], camera, view="mask", lod=lod)
+        return np.frombuffer(framebuffer.read(components=1), np.uint8).reshape(SIDE_PX, SIDE_PX) > 0
+
+    levels = []
+    for distance in np.geomspace(1.5, 600.0, 40):
+        direction = np.array([np.sin(distance), 0.3, np.cos(distance)])
+        eye = np.array([0.0, 1.0, 0.0]) + distance * direction / np.linalg.norm(direction)
+        camera = Camera(tuple(eye), (0.0, 1.0, 0.0), fovy_deg=50.0)
+        chosen = mask(camera, "auto")
+        levels.append(renderer.last_drawn[actor].level)
+        finest = mask(camera, 0)
+        for a, b in ((chosen, finest), (finest, chosen)):
+            if (a & ~b).any() and b.any():
+                assert distance_transform_edt(~b)[a & ~b].max() <= threshold + 0.5
+    assert levels == sorted(levels) and set(levels) == {0, 1, 2, 3}
+    for attachment in (*framebuffer.color_attachments, framebuffer.depth_attachment, framebuffer):
+        attachment.release()
+    renderer.release()
+    model.release()
+
+
+def test_drawn_levels_are_remembered_per_actor(ctx: moderngl.Context, ball: Asset) -> None:
+    model, renderer = Model(ctx, ball), Renderer(ctx)
+    framebuffer = ctx.simple_framebuffer((64, 64), 4)
+    framebuffer.use()
+    near, far = model.actor(), model.actor()
+    matrix = np.eye(4)
+    matrix[2, 3] = -200.0
+    far.transform = matrix
+    renderer.draw([near, far], Camera((0.0, 1.0, 6.0), (0.0, 1.0, 0.0)))
+    assert renderer.last_drawn[near].level < renderer.last_drawn[far].level
+    renderer.draw([near, far], Camera((0.0, 1.0, 6.0), (0.0, 1.0, 0.0)), lod=2, tessellation="auto")
+    assert renderer.last_drawn[near].tessellated and not renderer.last_drawn[far].tessellated
+    for attachment in (*framebuffer.color_attachments, framebuffer.depth_attachment, framebuffer):
+        attachment.release()
+    renderer.release()
+    model.release()
+
+
+def test_bounds_hold_every_vertex_of_every_moment(ctx: moderngl.Context, ball: Asset) -> None:
+    model = Model(ctx, ball)
+    mesh = ball.lods[0]
+    from preprocess.weights import unpack_weights
+
+    rest = sample_bilinear(ball.textures["position"].levels[0], mesh.owner_uvs)
+    stored = unpack_weights(ball.textures["weights"].levels[0], ball.weight_size, ball.num_joints)
+    weights = sample_bilinear(stored, mesh.owner_uvs)
+    for time_s in np.linspace(0, 1, 7):
+        rows = model.actor(clip="bend", time_s=float(time_s)).joint_rows[None].astype(float)
+        blended = np.einsum("vj,jrc->vrc", weights, rows[0])
+        positions = np.einsum("vrc,vc->vr", blended[:, :, :3], rest) + blended[:, :, 3]
+        low, high = pose_bounds(rows, joint_boxes_of(model))[0]
+        assert (positions >= low - 1e-5).all() and (positions <= high + 1e-5).all()
+    model.release()
