@@ -339,7 +339,10 @@ def _merge_vertices(
 
 def _read_lod(document: Document, mesh_index: Any, where: str, error_m: float) -> LodMesh:
     """One LOD's mesh: its primitives become draw ranges over one merged vertex list."""
-    all_uvs, all_owners, all_triangles, draws = [], [], [], []
+    all_uvs: list[NDArray[np.float32]] = []
+    all_owners: list[NDArray[np.float32]] = []
+    all_triangles: list[NDArray[np.int64]] = []
+    draws: list[DrawRange] = []
     num_vertices = first = 0
     accessors: dict[tuple[int, int], int] = {}  # first vertex of a primitive's arrays, and which arrays they are
     owners_of: dict[tuple[int, int], int] = {}
