@@ -170,7 +170,7 @@ def test_drawn_levels_are_remembered_per_actor(ctx: moderngl.Context, ball: Asse
     far.transform = matrix
     renderer.draw([near, far], Camera((0.0, 1.0, 6.0), (0.0, 1.0, 0.0)))
     assert renderer.last_drawn[near].level < renderer.last_drawn[far].level
-    renderer.draw([near, far], Camera((0.0, 1.0, 6.0), (0.0, 1.0, 0.0)), lod=2, tessellation="auto")
+    renderer.draw([near, far], Camera((0.0, 1.0, 6.0), (0.0, 1.0, 0.0)), lod=3, tessellation="auto")
     assert renderer.last_drawn[near].tessellated and not renderer.last_drawn[far].tessellated
     for attachment in (*framebuffer.color_attachments, framebuffer.depth_attachment, framebuffer):
         attachment.release()
