@@ -14,8 +14,8 @@ from preprocess.decimate.floor import count_floor
 from preprocess.decimate.lod import DecimateOptions
 from preprocess.decimate.measure import blend_matrices, make_reference, measure, sample_mesh
 from preprocess.decimate.nearest import build_tree
-from preprocess.decimate.placement import drawn_position, solve_joint
-from preprocess.decimate.quadrics import accumulate_faces, add_with_uv_held, evaluate_position
+from preprocess.decimate.placement import draw_position, solve_joint
+from preprocess.decimate.quadrics import FIRST, accumulate_faces, add_with_uv_held, evaluate_position
 from preprocess.decimate.topology import NO_WEDGE, TAIL, TWIN, WEDGE, build_half_edges
 from preprocess.mesh import Floats, TexturedSurface
 from preprocess.texels import sample_bilinear
@@ -42,12 +42,12 @@ def call_solve_joint(links, xyz, uv, quadric, work, h, p0, q0, p1, q1, regularis
 def call_held(quadric, w, u, v, x, y, z):  # type: ignore[no-untyped-def]
     ten = np.zeros(10)
     add_with_uv_held(quadric, w, u, v, ten)
-    return evaluate_position(ten, 0, x, y, z)
+    return evaluate_position(ten, FIRST, x, y, z)
 
 
 @njit
-def call_drawn(texture, u, v, axis):  # type: ignore[no-untyped-def]
-    return drawn_position(texture, u, v, axis)
+def call_draw(texture, u, v, point):  # type: ignore[no-untyped-def]
+    draw_position(texture, u, v, point)
 
 
 def unpack(row: Floats) -> tuple[Floats, Floats, float]:
@@ -173,7 +173,9 @@ def test_drawn_position_follows_the_texel_rule() -> None:
     for height, width in ((1, 1), (1, 5), (4, 1), (7, 9)):
         texture = rng.normal(size=(height, width, 3))
         uvs = np.r_[rng.uniform(-0.2, 1.2, (50, 2)), [[0.0, 0.0], [1.0, 1.0], [0.5, 0.5]]]
-        quick = [[call_drawn(texture, u, v, axis) for axis in range(3)] for u, v in uvs]
+        quick = np.zeros((len(uvs), 3))
+        for (u, v), point in zip(uvs, quick, strict=True):
+            call_draw(texture, u, v, point)
         np.testing.assert_allclose(quick, sample_bilinear(texture, uvs), atol=1e-14)
 
 

@@ -9,19 +9,24 @@ from preprocess.decimate.jit import entry, helper
 from preprocess.decimate.placement import best_cost, joint_line, pose_position, propose
 from preprocess.decimate.quadrics import add_rows
 from preprocess.decimate.rules import (
+    ALL,
     ALLOWED,
+    BEST,
     BLOCKED,
     COLLAPSES,
     FACES_LEFT,
     FLIP,
+    FORGET,
     HEAP_SIZE,
     LINK,
     NUM_BLOCKED,
     OUT,
+    POINT_ROW,
     POSE_QUADRIC,
     POSE_ROTATION,
     POSE_SIZE,
     PRICED,
+    RETRY,
     SEAM_TOLERANCE,
     is_silhouette,
     orient,
@@ -40,7 +45,7 @@ def price(m, h):
     if rule != ALLOWED:
         heap_remove(m.heap_cost, m.heap_item, m.links, m.counter, item)
         return
-    cost = best_cost(m, propose(m, kept, free_ends, False))
+    cost = best_cost(m, propose(m, kept, free_ends, BEST))
     if cost < math.inf:
         heap_set(m.heap_cost, m.heap_item, m.links, m.counter, item, cost)
     else:
@@ -59,7 +64,7 @@ def block(m, h):
 
 @helper
 def unblock_around(m, v, again):
-    """Forget that about all edges at a vertex; with `again`, put them back into the heap."""
+    """Forget that about all edges at a vertex; with RETRY, put them back into the heap."""
     if m.vertices[v, NUM_BLOCKED] == 0:
         return
     start = m.vertices[v, OUT]
@@ -70,7 +75,7 @@ def unblock_around(m, v, again):
             m.links[item, BLOCKED] = 0
             m.vertices[m.links[item, TAIL], NUM_BLOCKED] -= 1
             m.vertices[m.links[m.links[item, TWIN], TAIL], NUM_BLOCKED] -= 1
-            if again:
+            if again != FORGET:
                 price(m, item)
         g = m.links[previous_of(g), TWIN]
         if g == start:
@@ -104,15 +109,14 @@ def _spread_deviation(m, h, free_ends):
 
 
 @helper
-def _merge_poses(pose, xyz, a, b, x, y, z):
+def _merge_poses(pose, xyz, a, b, x, y, z, point):
     """Move a to the new point in every pose, with both ends' quadrics and the nearer one's rotation."""
     to_a = (x - xyz[a, 0]) ** 2 + (y - xyz[a, 1]) ** 2 + (z - xyz[a, 2]) ** 2
     to_b = (x - xyz[b, 0]) ** 2 + (y - xyz[b, 1]) ** 2 + (z - xyz[b, 2]) ** 2
     for p in range(pose.shape[1]):
-        px = pose_position(pose, xyz, a, b, x, y, z, p, 0)
-        py = pose_position(pose, xyz, a, b, x, y, z, p, 1)
-        pz = pose_position(pose, xyz, a, b, x, y, z, p, 2)
-        pose[a, p, 0], pose[a, p, 1], pose[a, p, 2] = px, py, pz
+        pose_position(pose, xyz, a, b, x, y, z, p, point)
+        for i in range(3):
+            pose[a, p, i] = point[i]
         for i in range(POSE_ROTATION, POSE_QUADRIC):
             if to_b < to_a:
                 pose[a, p, i] = pose[b, p, i]
@@ -133,13 +137,13 @@ def collapse(m, h, row, free_ends):
     a0, a1, b0, b1 = m.links[h, WEDGE], m.links[tn, WEDGE], m.links[hn, WEDGE], m.links[t, WEDGE]
     if is_silhouette(m.links, h):
         _spread_deviation(m, h, free_ends)
-    unblock_around(m, a, False)
-    unblock_around(m, b, False)
+    unblock_around(m, a, FORGET)
+    unblock_around(m, b, FORGET)
     for e in (h, hn, hp, tn, tp):
         heap_remove(m.heap_cost, m.heap_item, m.links, m.counter, min(e, m.links[e, TWIN]))
 
     if m.pose.shape[1] > 0:
-        _merge_poses(m.pose, m.xyz, a, b, x, y, z)
+        _merge_poses(m.pose, m.xyz, a, b, x, y, z, m.work[POINT_ROW])
     if b0 >= 0:
         add_rows(m.quadric, a0, b0)
     if b1 >= 0 and b1 != b0:
@@ -183,7 +187,7 @@ def collapse(m, h, row, free_ends):
     while True:
         c = m.links[next_of(g), TAIL]
         if c != infinity:
-            unblock_around(m, c, True)
+            unblock_around(m, c, RETRY)
         g = m.links[previous_of(g), TWIN]
         if g == to_c:
             break
@@ -207,7 +211,7 @@ def attempt(m, h, free_ends):
     """Candidates of an oriented edge, checked: number of the best, or minus the rule that stands against it."""
     if not link_holds(m.links, m.vertices, m.counter, h):
         return -LINK
-    best = _pick(m, h, propose(m, h, free_ends, True))
+    best = _pick(m, h, propose(m, h, free_ends, ALL))
     return best if best >= 0 else -FLIP
 
 

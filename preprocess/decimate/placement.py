@@ -19,8 +19,20 @@ from __future__ import annotations
 import math
 
 from preprocess.decimate.jit import helper
-from preprocess.decimate.quadrics import REGULARISE_REL, SYSTEM_ROW, add_with_uv_held, clear, evaluate_position, solve
+from preprocess.decimate.quadrics import (
+    FIRST,
+    FIVE,
+    FOUR,
+    REGULARISE_REL,
+    SYSTEM_ROW,
+    THREE,
+    add_with_uv_held,
+    clear,
+    evaluate_position,
+    solve,
+)
 from preprocess.decimate.rules import (
+    POINT_ROW,
     POSE_QUADRIC,
     POSE_ROTATION,
     SEAM_TOLERANCE,
@@ -36,17 +48,22 @@ from preprocess.decimate.topology import TAIL, TWIN, WEDGE, next_of, previous_of
 
 
 @helper
-def drawn_position(texture, u, v, axis):
-    """One coordinate of the position texture at a uv: bilinear, clamped (the rule of texels.py)."""
+def _blend(p, q, f):
+    return (1.0 - f) * p + f * q
+
+
+@helper
+def draw_position(texture, u, v, point):
+    """Write the position texture's value at a uv into `point`: bilinear, clamped (the rule of texels.py)."""
     height, width = texture.shape[0], texture.shape[1]
     px = min(max(u * width - 0.5, 0.0), width - 1.0)
     py = min(max(v * height - 0.5, 0.0), height - 1.0)
     i, j = min(int(px), max(width - 2, 0)), min(int(py), max(height - 2, 0))
     i1, j1 = min(i + 1, width - 1), min(j + 1, height - 1)
-    fx, fy = px - i, py - j
-    above = (1.0 - fx) * texture[j, i, axis] + fx * texture[j, i1, axis]
-    below = (1.0 - fx) * texture[j1, i, axis] + fx * texture[j1, i1, axis]
-    return (1.0 - fy) * above + fy * below
+    for axis in range(3):
+        above = _blend(texture[j, i, axis], texture[j, i1, axis], px - i)
+        below = _blend(texture[j1, i, axis], texture[j1, i1, axis], px - i)
+        point[axis] = _blend(above, below, py - j)
 
 
 @helper
@@ -74,38 +91,38 @@ def hold_end(links, quadric, ten, left, right, u0, v0, u1, v1, scale):
 
 
 @helper
-def pose_position(pose, xyz, a, b, x, y, z, p, axis):
-    """One coordinate, in pose p, of a point near the edge a-b: the ends' blend, and the offset from it turned along."""
+def pose_position(pose, xyz, a, b, x, y, z, p, point):
+    """Write, in pose p, a point near the edge a-b: the ends' blend, and the offset from it turned along with it."""
     dx, dy, dz = xyz[b, 0] - xyz[a, 0], xyz[b, 1] - xyz[a, 1], xyz[b, 2] - xyz[a, 2]
     square = dx * dx + dy * dy + dz * dz
     ex, ey, ez = x - xyz[a, 0], y - xyz[a, 1], z - xyz[a, 2]
     s = min(max((dx * ex + dy * ey + dz * ez) / square, 0.0), 1.0) if square > 0.0 else 0.0
     nearest = a if s < 0.5 else b
-    r = POSE_ROTATION + 3 * axis
-    value = (1.0 - s) * pose[a, p, axis] + s * pose[b, p, axis]
-    value += pose[nearest, p, r] * (ex - s * dx) + pose[nearest, p, r + 1] * (ey - s * dy)
-    return value + pose[nearest, p, r + 2] * (ez - s * dz)
+    for axis in range(3):
+        r = POSE_ROTATION + 3 * axis
+        value = pose[nearest, p, r] * (ex - s * dx) + pose[nearest, p, r + 1] * (ey - s * dy)
+        value += pose[nearest, p, r + 2] * (ez - s * dz)
+        point[axis] = value + _blend(pose[a, p, axis], pose[b, p, axis], s)
 
 
 @helper
-def pose_cost(pose, xyz, a, b, x, y, z):
-    """Sum over the poses of the ends' quadrics at the posed point."""
+def pose_cost(pose, xyz, a, b, x, y, z, point):
+    """Sum over the poses of the ends' quadrics at the posed point; `point` is scratch."""
     cost = 0.0
     for p in range(pose.shape[1]):
-        px = pose_position(pose, xyz, a, b, x, y, z, p, 0)
-        py = pose_position(pose, xyz, a, b, x, y, z, p, 1)
-        pz = pose_position(pose, xyz, a, b, x, y, z, p, 2)
-        cost += evaluate_position(pose[a, p], POSE_QUADRIC, px, py, pz)
-        cost += evaluate_position(pose[b, p], POSE_QUADRIC, px, py, pz)
+        pose_position(pose, xyz, a, b, x, y, z, p, point)
+        cost += evaluate_position(pose[a, p], POSE_QUADRIC, point[0], point[1], point[2])
+        cost += evaluate_position(pose[b, p], POSE_QUADRIC, point[0], point[1], point[2])
     return cost
 
 
 @helper
 def _add_candidate(m, n, h, x, y, z, u0, v0, u1, v1):
     """Write candidate n with the cost that the held quadrics and the poses give it; returns n + 1."""
-    cost = evaluate_position(m.ten, 0, x, y, z)
+    cost = evaluate_position(m.ten, FIRST, x, y, z)
     if m.pose.shape[1] > 0:
-        cost += pose_cost(m.pose, m.xyz, m.links[h, TAIL], m.links[m.links[h, TWIN], TAIL], x, y, z)
+        a, b = m.links[h, TAIL], m.links[m.links[h, TWIN], TAIL]
+        cost += pose_cost(m.pose, m.xyz, a, b, x, y, z, m.work[POINT_ROW])
     row = m.work[n]
     row[0], row[1], row[2], row[3] = cost, x, y, z
     row[4], row[5], row[6], row[7] = u0, v0, u1, v1
@@ -113,20 +130,13 @@ def _add_candidate(m, n, h, x, y, z, u0, v0, u1, v1):
 
 
 @helper
-def _blend(table, a, b, f, column):
-    return (1.0 - f) * table[a, column] + f * table[b, column]
-
-
-@helper
 def _add_free(m, n, h, x, y, z, u0, v0, u1, v1):
     """Add the candidate of two free ends; with a texture it stands where the texture draws it."""
     t = m.links[h, TWIN]
     if m.texture.shape[0] > 0:
-        x, y, z = (
-            drawn_position(m.texture, u0, v0, 0),
-            drawn_position(m.texture, u0, v0, 1),
-            drawn_position(m.texture, u0, v0, 2),
-        )
+        point = m.work[POINT_ROW]
+        draw_position(m.texture, u0, v0, point)
+        x, y, z = point[0], point[1], point[2]
     clear(m.ten)
     scale = m.settings[UV_SCALE]
     left, right = m.links[h, WEDGE], m.links[next_of(t), WEDGE]
@@ -147,10 +157,10 @@ def _solve_free(work, xyz, uv, quadric, a, b, wa, wb, scale):
         trace += work[SYSTEM_ROW + i, i]
     weight = REGULARISE_REL * trace
     for i in range(5):
-        middle = _blend(xyz, a, b, 0.5, i) if i < 3 else scale * _blend(uv, wa, wb, 0.5, i - 3)
+        middle = _blend(xyz[a, i], xyz[b, i], 0.5) if i < 3 else scale * _blend(uv[wa, i - 3], uv[wb, i - 3], 0.5)
         work[SYSTEM_ROW + i, i] += weight
         work[SYSTEM_ROW + i, 5] = weight * middle - quadric[wa, 15 + i] - quadric[wb, 15 + i]
-    return solve(work, 5)
+    return solve(work, FIVE)
 
 
 @helper
@@ -159,7 +169,7 @@ def _propose_free(m, h, full):
     t = m.links[h, TWIN]
     a, b, wa, wb = m.links[h, TAIL], m.links[t, TAIL], m.links[h, WEDGE], m.links[t, WEDGE]
     scale = m.settings[UV_SCALE]
-    n = 0
+    n = FIRST
     if _solve_free(m.work, m.xyz, m.uv, m.quadric, a, b, wa, wb, scale):
         x, y, z = m.work[SYSTEM_ROW, 5], m.work[SYSTEM_ROW + 1, 5], m.work[SYSTEM_ROW + 2, 5]
         u, v = m.work[SYSTEM_ROW + 3, 5] / scale, m.work[SYSTEM_ROW + 4, 5] / scale
@@ -167,8 +177,12 @@ def _propose_free(m, h, full):
     if full or n == 0 or m.texture.shape[0] > 0:
         for step in range(3):
             f = 0.5 * step
-            x, y, z = _blend(m.xyz, a, b, f, 0), _blend(m.xyz, a, b, f, 1), _blend(m.xyz, a, b, f, 2)
-            u, v = _blend(m.uv, wa, wb, f, 0), _blend(m.uv, wa, wb, f, 1)
+            x, y, z = (
+                _blend(m.xyz[a, 0], m.xyz[b, 0], f),
+                _blend(m.xyz[a, 1], m.xyz[b, 1], f),
+                _blend(m.xyz[a, 2], m.xyz[b, 2], f),
+            )
+            u, v = _blend(m.uv[wa, 0], m.uv[wb, 0], f), _blend(m.uv[wa, 1], m.uv[wb, 1], f)
             n = _add_free(m, n, h, x, y, z, u, v, u, v)
     return n
 
@@ -186,14 +200,14 @@ def _propose_fixed(m, h, full):
     clear(q)
     hold_vertex(m.links, m.uv, m.quadric, q, h, scale)
     hold_end(m.links, m.quadric, q, m.links[next_of(h), WEDGE], m.links[t, WEDGE], u0, v0, u1, v1, scale)
-    n = 0
+    n = FIRST
     x, y, z = m.xyz[a, 0], m.xyz[a, 1], m.xyz[a, 2]
     if m.texture.shape[0] == 0:
         weight = REGULARISE_REL * (q[0] + q[3] + q[5])
         s[8, 0], s[8, 1], s[8, 2], s[8, 3] = q[0] + weight, q[1], q[2], weight * x - q[6]
         s[9, 1], s[9, 2], s[9, 3] = q[3] + weight, q[4], weight * y - q[7]
         s[10, 2], s[10, 3] = q[5] + weight, weight * z - q[8]
-        if solve(s, 3):
+        if solve(s, THREE):
             n = _add_candidate(m, n, h, s[8, 3], s[9, 3], s[10, 3], u0, v0, u1, v1)
     if full or n == 0:
         n = _add_candidate(m, n, h, x, y, z, u0, v0, u1, v1)
@@ -257,7 +271,7 @@ def solve_joint(links, xyz, uv, quadric, work, h, p0, q0, p1, q1, regularise, sc
     """
     twin = links[h, TWIN]
     a, b = links[h, TAIL], links[twin, TAIL]
-    held, t = False, 0.5
+    held, t, column = False, 0.5, FOUR
     # First the four unknowns; where t leaves [0, 1], the three with t at the end it left by.
     while True:
         for i in range(4):
@@ -272,10 +286,9 @@ def solve_joint(links, xyz, uv, quadric, work, h, p0, q0, p1, q1, regularise, sc
         weight = regularise * (work[SYSTEM_ROW, 0] + work[SYSTEM_ROW + 1, 1] + work[SYSTEM_ROW + 2, 2])
         for i in range(3):
             work[SYSTEM_ROW + i, i] += weight
-            work[SYSTEM_ROW + i, 4] += weight * _blend(xyz, a, b, 0.5, i)
-        column = 4
+            work[SYSTEM_ROW + i, 4] += weight * _blend(xyz[a, i], xyz[b, i], 0.5)
         if held:
-            column = 3
+            column = THREE
             for i in range(3):
                 work[SYSTEM_ROW + i, 3] = work[SYSTEM_ROW + i, 4] - work[SYSTEM_ROW + i, 3] * t
         else:
@@ -300,20 +313,24 @@ def _propose_joint(m, h, full):
     best, x, y, z, t = solve_joint(
         m.links, m.xyz, m.uv, m.quadric, m.work, h, p0, q0, p1, q1, REGULARISE_REL, m.settings[UV_SCALE]
     )
-    n = 0
+    n = FIRST
     for step in range(-1, 3):
         if step >= 0:
             if not (full or n == 0 or m.texture.shape[0] > 0):
                 break
             f = 0.5 * step
-            x, y, z = _blend(m.xyz, a, b, f, 0), _blend(m.xyz, a, b, f, 1), _blend(m.xyz, a, b, f, 2)
+            x, y, z = (
+                _blend(m.xyz[a, 0], m.xyz[b, 0], f),
+                _blend(m.xyz[a, 1], m.xyz[b, 1], f),
+                _blend(m.xyz[a, 2], m.xyz[b, 2], f),
+            )
             t = (1.0 - f) * at_a + f * at_b
         elif not best:
             continue
-        u0 = _blend(m.uv, p0, q0, t, 0) if p0 >= 0 else _blend(m.uv, p1, q1, t, 0)
-        v0 = _blend(m.uv, p0, q0, t, 1) if p0 >= 0 else _blend(m.uv, p1, q1, t, 1)
-        u1 = _blend(m.uv, p1, q1, t, 0) if p1 >= 0 else u0
-        v1 = _blend(m.uv, p1, q1, t, 1) if p1 >= 0 else v0
+        u0 = _blend(m.uv[p0, 0], m.uv[q0, 0], t) if p0 >= 0 else _blend(m.uv[p1, 0], m.uv[q1, 0], t)
+        v0 = _blend(m.uv[p0, 1], m.uv[q0, 1], t) if p0 >= 0 else _blend(m.uv[p1, 1], m.uv[q1, 1], t)
+        u1 = _blend(m.uv[p1, 0], m.uv[q1, 0], t) if p1 >= 0 else u0
+        v1 = _blend(m.uv[p1, 1], m.uv[q1, 1], t) if p1 >= 0 else v0
         n = _add_free(m, n, h, x, y, z, u0, v0, u1, v1)
     return n
 
@@ -327,7 +344,7 @@ def propose(m, h, free_ends, full):
     m : Mesh
     h : half-edge, from the end to keep (`rules.orient`)
     free_ends : 1 or 2
-    full : bool
+    full : BEST or ALL (rules.py)
         Whether to add the alternatives to the best one.
 
     Returns

@@ -13,12 +13,17 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from preprocess.decimate.jit import entry, helper
 from preprocess.decimate.topology import TAIL, TWIN, WEDGE
 
 SIZE = 21
 POSITION_SIZE = 10
 SYSTEM_ROW = 8  # of the scratch table, see rules.Mesh
+
+# As NumPy integers, constants do not make numba compile a kernel once for each value.
+FIRST, THREE, FOUR, FIVE = (np.int64(number) for number in (0, 3, 4, 5))
 # A little of the plain squared distance to the edge's middle, as a fraction of the quadric's trace: decides where
 # the quadric is flat (a plane), and is far below any real curvature elsewhere.
 REGULARISE_REL = 1e-6

@@ -44,7 +44,12 @@ STRICT_NONE, STRICT_SHAPE, STRICT_SEAMLESS = 0, 1, 2
 # Columns of Mesh.vertices, and those of Mesh.links after topology's.
 OUT, SILHOUETTES, NUM_BLOCKED, MARK = 0, 1, 2, 3
 PLACE, BLOCKED = 3, 4
-POSE_ROTATION, POSE_QUADRIC, POSE_SIZE = 3, 12, 22
+POSE_ROTATION, POSE_QUADRIC, POSE_SIZE = 3, np.int64(12), 22
+POINT_ROW = 14  # of Mesh.work
+
+# Which placements to propose, and whether unblocked edges go back into the heap (NumPy integers: see quadrics.py).
+BEST, ALL = np.int64(0), np.int64(1)
+FORGET, RETRY = np.int64(0), np.int64(1)
 
 
 class Mesh(NamedTuple):
@@ -72,7 +77,7 @@ class Mesh(NamedTuple):
     pose : (V, P, 22) float64
         A vertex in each pose: position (3), rotation (9), position quadric (10).
     work : (16, 8) float64
-        Scratch: candidates in the first 8 rows, the small linear system in rows 8 to 12.
+        Scratch: candidates in the first 8 rows, the small linear system in rows 8 to 12, a point in row 14.
     ten : (10,) float64
         Scratch: a position quadric.
     settings : (8,) float64, counter : (8,) int64
