@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 from preprocess.atlas.crowding import measure_crowding
 from preprocess.atlas.measure import measure_coverage, measure_stretch, straight_share
 from preprocess.atlas.overlap import find_overlap
+from preprocess.atlas.predicates import face_orientation
 from preprocess.atlas.topology import cut_edges, find_edges, label_faces
 from preprocess.atlas.unwrap import unwrap
 from preprocess.decimate import decimate_to
 from preprocess.errors import InputError
 from preprocess.mesh import SkinnedMesh
-from preprocess.repack import repack_charts
+from preprocess.repack import find_charts, repack_charts
 from preprocess.split_edges import apply_split
 from preprocess.straighten import straighten
 
@@ -145,32 +146,27 @@ def build_atlas(
         raise InputError("the mesh has no faces: there is no atlas to build")
     floor = default_floor(mesh.num_faces) if floor is None else floor
     packing = _Packing(size_px, gutter_px, min_chart_px)
-    if mode == "keep":
-        return _keep(mesh, straighten_rel)
-    if mode == "repack":
-        return _repack(mesh, straighten_rel, packing)
     if mode == "unwrap":
         return _unwrap(mesh, floor, packing)
-    tolerances: tuple[float | None, ...] = (None,)
-    if straighten_rel is not None:
-        tolerances = (straighten_rel, *(t for t in TOLERANCES_REL if t > straighten_rel))
+    if mode != "auto":
+        reason = _why_not_kept_charts(mesh) or (_why_not_inside(mesh) if mode == "keep" else _why_not_flat(mesh))
+        if reason:
+            raise InputError(f"--atlas {mode}: {reason}: use --atlas auto or unwrap")
+        kept, floor_faces = _straighten(mesh, straighten_rel, keep_packing=mode == "keep")
+        if mode == "repack":
+            kept = _repack(kept, packing)
+        return _finish(kept, mode, mode == "repack" or straighten_rel is not None, floor_faces, ())
+
     reasons: list[str] = []
-    for name, attempt, why_not in (
-        ("keep", lambda t: _keep(mesh, t), _why_not_keep(mesh, size_px)),
-        ("repack", lambda t: _repack(mesh, t, packing), _why_not_repack(mesh)),
-    ):
+    for attempt, why_not in (("keep", _why_not_keep(mesh, floor, size_px)), ("repack", _why_not_repack(mesh, floor))):
+        atlas = None
         if not why_not:
-            for tolerance in tolerances:
-                atlas = attempt(tolerance)
-                likely = atlas.overlap == 0 and atlas.floor_faces <= floor
-                if likely and (atlas.floor_faces <= SURE_SHARE * floor or _reaches(atlas.mesh, floor)):
-                    return _explain(atlas, reasons)
-            why_not = f"straight seams would leave {atlas.floor_faces} faces, {floor} are asked for"
-            if atlas.overlap:
-                why_not = f"{atlas.overlap} faces would overlap"
-        reasons.append(f"{name}: {why_not}")
-        log.info("atlas: not %s: %s", name, why_not)
-    return _explain(_unwrap(mesh, floor, packing), reasons)
+            atlas, why_not = _try_kept_charts(mesh, attempt, floor, straighten_rel, packing)
+        if atlas is not None:
+            return dataclasses.replace(atlas, report={"not_chosen": reasons})
+        reasons.append(f"{attempt}: {why_not}")
+        log.info("atlas: not %s: %s", attempt, why_not)
+    return dataclasses.replace(_unwrap(mesh, floor, packing), report={"not_chosen": reasons})
 
 
 @dataclass(frozen=True)
@@ -180,58 +176,79 @@ class _Packing:
     min_chart_px: float
 
 
-def _why_not_keep(mesh: SkinnedMesh, size_px: int) -> str:
-    """Why the source's uvs cannot stay; empty if they can."""
-    uvs = mesh.surface.uvs
-    if not mesh.has_uvs or not len(uvs):
-        return "parts have no texture coordinates"
-    if not np.isfinite(uvs).all():
-        return "texture coordinates are not finite"
-    if uvs.min() < 0 or uvs.max() > 1:
-        return "texture coordinates leave the unit square"
-    overlap = find_overlap(uvs, mesh.surface.face_uvs)
-    if not overlap.one_to_one:
-        return f"{100 * overlap.faces.mean():.1f} % of the faces overlap or have no area in uv"
-    crowded = measure_crowding(mesh.surface, size_px)
-    if crowded > MAX_CROWDED:
-        return f"charts are so near that they share {100 * crowded:.1f} % of the texels at {size_px} x {size_px}"
-    return ""
-
-
-def _why_not_repack(mesh: SkinnedMesh) -> str:
-    """Why the source's charts cannot stay; empty as far as one can tell before they are packed."""
+def _why_not_kept_charts(mesh: SkinnedMesh) -> str:
+    """Why the source's charts are of no use; empty if they may be."""
     if not mesh.has_uvs or not len(mesh.surface.uvs):
         return "parts have no texture coordinates"
     if not np.isfinite(mesh.surface.uvs).all():
         return "texture coordinates are not finite"
-    flat = find_overlap(mesh.surface.uvs, mesh.surface.face_uvs).num_flat
+    return ""
+
+
+def _why_not_inside(mesh: SkinnedMesh) -> str:
+    uvs = mesh.surface.uvs
+    return "texture coordinates leave the unit square" if uvs.min() < 0 or uvs.max() > 1 else ""
+
+
+def _why_not_flat(mesh: SkinnedMesh) -> str:
+    flat = int((face_orientation(mesh.surface.uvs, mesh.surface.face_uvs) == 0).sum())
     return f"{flat} faces have no area in uv" if flat else ""
 
 
-def _keep(mesh: SkinnedMesh, tolerance_rel: float | None) -> Atlas:
-    reason = ""
-    if not mesh.has_uvs or not len(mesh.surface.uvs):
-        reason = "parts of the mesh have no texture coordinates"
-    elif not np.isfinite(mesh.surface.uvs).all():
-        reason = "some texture coordinates are not finite"
-    elif mesh.surface.uvs.min() < 0 or mesh.surface.uvs.max() > 1:
-        reason = "texture coordinates leave the unit square"
-    if reason:
-        raise InputError(f"--atlas keep: {reason}: use --atlas auto or unwrap")
-    kept, floor_faces = _straighten(mesh, tolerance_rel, keep_packing=True)
-    return _finish(kept, "keep", tolerance_rel is not None, floor_faces, ())
+def _why_not_few(mesh: SkinnedMesh, floor: int) -> str:
+    charts = int(find_charts(mesh.surface).max()) + 1
+    return f"{charts} charts keep a face each, {floor} are asked for" if charts > floor else ""
 
 
-def _repack(mesh: SkinnedMesh, tolerance_rel: float | None, packing: _Packing) -> Atlas:
-    reason = _why_not_repack(mesh)
+def _why_not_keep(mesh: SkinnedMesh, floor: int, size_px: int) -> str:
+    """Why the source's uvs cannot stay; empty as far as one can tell without trying."""
+    reason = _why_not_kept_charts(mesh) or _why_not_inside(mesh)
     if reason:
-        raise InputError(f"--atlas repack: {reason}: use --atlas auto or unwrap")
-    kept, floor_faces = _straighten(mesh, tolerance_rel, keep_packing=False)
+        return reason
+    overlap = find_overlap(mesh.surface.uvs, mesh.surface.face_uvs)
+    if not overlap.one_to_one:
+        return f"{100 * overlap.faces.mean():.1f} % of the faces overlap or have no area in uv"
+    crowded = measure_crowding(mesh.surface, size_px)
+    if crowded > MAX_CROWDED:
+        return f"charts are so near that they share {100 * crowded:.2f} % of the texels at {size_px} x {size_px}"
+    return _why_not_few(mesh, floor)
+
+
+def _why_not_repack(mesh: SkinnedMesh, floor: int) -> str:
+    """Why the source's charts cannot stay; empty as far as one can tell without trying."""
+    return _why_not_kept_charts(mesh) or _why_not_flat(mesh) or _why_not_few(mesh, floor)
+
+
+def _try_kept_charts(
+    mesh: SkinnedMesh, mode: str, floor: int, straighten_rel: float | None, packing: _Packing
+) -> tuple[Atlas | None, str]:
+    """The source's charts with seams as straight as the floor needs, or why that does not do."""
+    tolerances: tuple[float | None, ...] = (None,)
+    if straighten_rel is not None:
+        tolerances = (straighten_rel, *(t for t in TOLERANCES_REL if t > straighten_rel))
+    why_not = ""
+    for tolerance in tolerances:
+        kept, floor_faces = _straighten(mesh, tolerance, keep_packing=mode == "keep")
+        if floor_faces > floor or (floor_faces > SURE_SHARE * floor and not _reaches(kept, floor)):
+            why_not = f"its seams leave {floor_faces} faces or some more, {floor} are asked for"
+            continue
+        if mode == "repack":
+            try:
+                kept = _repack(kept, packing)
+            except InputError as error:
+                return None, str(error)
+        atlas = _finish(kept, mode, mode == "repack" or tolerance is not None, floor_faces, ())
+        if atlas.overlap:
+            return None, f"{atlas.overlap} pairs of faces overlap in their own charts"
+        return atlas, ""
+    return None, why_not
+
+
+def _repack(mesh: SkinnedMesh, packing: _Packing) -> SkinnedMesh:
     try:
-        packed = repack_charts(kept.surface, packing.size_px, packing.gutter_px)
+        return mesh.with_surface(repack_charts(mesh.surface, packing.size_px, packing.gutter_px).surface)
     except ValueError as error:
         raise InputError(f"--atlas repack: {error}: use --atlas unwrap") from error
-    return _finish(kept.with_surface(packed.surface), "repack", True, floor_faces, ())
 
 
 def _unwrap(mesh: SkinnedMesh, floor: int, packing: _Packing) -> Atlas:
@@ -260,10 +277,6 @@ def _straighten(mesh: SkinnedMesh, tolerance_rel: float | None, *, keep_packing:
     if tolerance_rel is None:
         return mesh, result.floor_faces
     return apply_split(mesh, result.split).with_surface(result.surface), result.floor_faces
-
-
-def _explain(atlas: Atlas, reasons: list[str]) -> Atlas:
-    return dataclasses.replace(atlas, report={**atlas.report, "not_chosen": reasons})
 
 
 def _finish(mesh: SkinnedMesh, mode: str, resampled: bool, floor_faces: int, warnings: tuple[str, ...]) -> Atlas:
