@@ -1,0 +1,134 @@
+"""The command line from outside: results whole or not at all, refusals in one line with status 2."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import struct
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from conftest import ROOT, asset
+
+
+def preprocess(*arguments: str | Path, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "preprocess", *map(str, arguments)]
+    return subprocess.run(
+        command, cwd=cwd, capture_output=True, text=True, env=None if cwd == ROOT else {"PYTHONPATH": str(ROOT)}
+    )
+
+
+def refused(done: subprocess.CompletedProcess[str], *words: str) -> None:
+    """Status 2, and a last line that says the words; no traceback."""
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith("preprocess: ")
+    for word in words:
+        assert word in last
+
+
+def write_glb(path: Path, document: dict[str, object]) -> Path:
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    path.write_bytes(
+        struct.pack("<III", 0x46546C67, 2, 20 + len(text)) + struct.pack("<II", len(text), 0x4E4F534A) + text
+    )
+    return path
+
+
+def test_help_is_quick_and_names_every_command() -> None:
+    done = preprocess("--help")
+    assert done.returncode == 0
+    for name in ("build", "erase", "straighten", "decimate", "batch", "check"):
+        assert name in done.stdout
+
+
+@pytest.mark.parametrize("command", ["build", "erase", "straighten", "decimate", "batch", "check"])
+def test_every_command_explains_itself(command: str) -> None:
+    done = preprocess(command, "--help")
+    assert done.returncode == 0, done.stderr
+    assert "usage" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--lods", "0.5,0.7"], ["ratios must fall"]),
+        (["--geometry-size", "5"], ["8 to 8192"]),
+        (["--straighten", "2"], ["tolerance"]),
+        (["--atlas", "magic"], ["invalid choice"]),
+        (["--frobnicate"], ["unrecognized"]),
+    ],
+)
+def test_bad_arguments(tmp_path: Path, arguments: list[str], words: list[str]) -> None:
+    refused(preprocess("x.glb", "-o", tmp_path / "out", *arguments), *words)
+    assert not (tmp_path / "out").exists()
+
+
+def test_bad_files_write_nothing(tmp_path: Path) -> None:
+    refused(preprocess(tmp_path / "missing.glb", "-o", tmp_path / "out"), "no such file")
+    text = tmp_path / "text.glb"
+    text.write_text("this is no model")
+    refused(preprocess(text, "-o", tmp_path / "out"), "text.glb")
+    empty = write_glb(tmp_path / "empty.glb", {"asset": {"version": "2.0"}, "scenes": [{"nodes": []}], "scene": 0})
+    refused(preprocess(empty, "-o", tmp_path / "out"), "empty.glb", "mesh")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["empty.glb", "text.glb"]
+
+
+def test_other_peoples_folders_are_safe(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    refused(preprocess(asset("Fox.glb"), "-o", tmp_path), "other files")
+    assert (tmp_path / "thesis.tex").read_text() == "years of work"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["Fox.glb", "human.glb", "Knight.glb", "robot.glb", "mannequiny.glb"])
+def test_a_built_character_measures_as_it_claims(name: str, built: Callable[[str], Path]) -> None:
+    folder = built(name)
+    done = preprocess("check", folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest["schema"] == 1
+    assert manifest["atlas"]["overlap"] == 0
+    full = manifest["lods"][0]["faces"]
+    exact = [lod for lod in manifest["lods"] if lod["exact"]]
+    assert exact[-1]["faces"] <= max(200, 0.03 * full)
+    errors = [lod["error_m"] for lod in manifest["lods"]]
+    assert all(a <= b for a, b in itertools.pairwise(errors))
+    for texture in manifest["textures"].values():
+        stored = texture["seam"]["stored"]
+        assert len(stored) == texture["mips"]
+        if texture["format"] == "uint8" and texture["mips"] > 1:
+            assert max(level["max"] for level in stored) <= 0.5 / 255 * 1.02
+    assert (folder / "report.html").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_check_refuses_a_changed_folder(built: Callable[[str], Path], tmp_path: Path) -> None:
+    import shutil
+
+    import numpy as np
+
+    from preprocess.images import Image, read_image, write_image
+
+    folder = tmp_path / "Fox.seamless"
+    shutil.copytree(built("Fox.glb"), folder)
+    image = read_image(folder / "base_color.png")
+    noise = np.random.default_rng(1).uniform(-0.2, 0.2, image.texels.shape)
+    write_image(folder / "base_color.png", Image(np.clip(image.texels + noise, 0, 1), "uint8"))
+    refused(preprocess("check", folder), "differ from the manifest", "base_color level 0")
+
+
+@pytest.mark.slow
+def test_batch_builds_all_and_names_the_bad_one(tmp_path: Path) -> None:
+    bad = tmp_path / "bad.glb"
+    bad.write_text("no")
+    options = ["--color-size", "64", "--lods", "0.6"]
+    done = preprocess("batch", asset("Fox.glb"), bad, "-o", tmp_path / "out", "-j", "2", *options)
+    refused(done, "1 of 2")
+    assert (tmp_path / "out" / "Fox.seamless" / "manifest.json").is_file()
+    assert not (tmp_path / "out" / "bad.seamless").exists()
