@@ -8,6 +8,7 @@ ownership are for can be seen.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +69,9 @@ def without_erasure(asset: Asset, source: Path) -> Asset:
     DemoError
         If the source cannot be read or is not the one.
     """
+    made_from = asset.manifest.json.get("source", {}).get("sha256")
+    if made_from and made_from != hashlib.sha256(source.read_bytes()).hexdigest():
+        raise DemoError(f"{asset.path} was not built from {source.name} as it is now: build it again")
     try:
         character = load_character(source)
     except InputError as error:
@@ -75,7 +79,7 @@ def without_erasure(asset: Asset, source: Path) -> Asset:
     atlas = _default_atlas(character)
     mesh = atlas.mesh
     if len(asset.lods[0].triangles) != mesh.num_faces:
-        raise DemoError(f"{source.name} is not what {asset.path} was built from: build it again")
+        raise DemoError(f"{asset.path} was built with other settings than the default ones: build it again")
     sizes = {name: texture.size for name, texture in asset.textures.items()}
     baked = {name: asset.textures[name] for name in asset.textures}
     positions = bake_positions(mesh, sizes["position"])

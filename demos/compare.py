@@ -18,6 +18,7 @@ from typing import Any
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from demos.before import find_source, without_erasure
 from demos.errors import DemoError
@@ -35,7 +36,7 @@ CLOSE_REL = 0.055  # half height of a close-up, of the bounding diagonal
 
 
 def worst_seams(asset: Asset, before: Asset, count: int) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Places on the skin whose seams are worst in colour and normal before erasure: points and normals at rest.
+    """Places on the skin where the two sides of a seam differ most in tone: points and normals at rest.
 
     Places lie at least two close-ups apart and show the seam from outside.
     """
@@ -44,15 +45,20 @@ def worst_seams(asset: Asset, before: Asset, count: int) -> list[tuple[NDArray[n
     split = np.flatnonzero((uvs != owners).any(axis=1))
     if not len(split):
         return []
-    color = before.textures["base_color"].levels[0][..., :3] / 255.0
-    jump = np.abs(_sample(color, uvs[split]) - _sample(color, owners[split])).max(axis=1)
+    level = before.textures["base_color"].levels[min(3, len(before.textures["base_color"].levels) - 1)]
+    tone = level[..., :3].sum(axis=2, keepdims=True) / 765.0 + 0.02  # of a few texels: not their pattern
+    jump = np.log(_sample(tone, uvs[split]) / _sample(tone, owners[split]))[:, 0]
+    points = _sample(asset.textures["position"].levels[0].astype(np.float64), owners[split])
+    diagonal = float(np.linalg.norm(np.ptp(asset.manifest.bind_bounds, axis=0)))
+    # A step that goes the same way all along a stretch of seam is what an eye sees; a pattern that is off is not.
+    around = cKDTree(points).query_ball_point(points, 0.5 * CLOSE_REL * diagonal)
+    step = np.array([abs(jump[near].mean()) - 0.5 * jump[near].std() for near in around])
     normal = asset.textures["normal"].levels[0]
     flat = normal.astype(np.float64) / (65535.0 if normal.dtype == np.uint16 else 1.0) * 2.0 - 1.0
     towards = _sample(flat, owners[split])
-    points = _sample(asset.textures["position"].levels[0].astype(np.float64), owners[split])
-    apart = 4.0 * CLOSE_REL * float(np.linalg.norm(np.ptp(asset.manifest.bind_bounds, axis=0)))
+    apart = 4.0 * CLOSE_REL * diagonal
     places: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
-    for index in np.argsort(-jump, kind="stable"):
+    for index in np.argsort(-step, kind="stable"):
         if all(np.linalg.norm(points[index] - point) > apart for point, _ in places):
             places.append((points[index], towards[index] / max(float(np.linalg.norm(towards[index])), 1e-9)))
         if len(places) == count:
@@ -96,18 +102,21 @@ class Comparison:
         after = self.studio.picture([self.after.actor()], camera, size, view=view, lod=0)
         return before, after
 
-    def levels(self, actor: Actor, camera: Camera, size: tuple[int, int]) -> list[list[Pixels]]:
-        """All levels of detail, lit above and as wireframes below, with their numbers of faces."""
+    def levels(self, actor: Actor, camera: Camera, size: tuple[int, int], most: int = 6) -> list[list[Pixels]]:
+        """All levels of detail, lit above and as wireframes below with their numbers of faces, `most` in a band."""
         lit, wires = [], []
         floor = self.asset.manifest.bind_bounds
         for level, mesh in enumerate(self.asset.lods):
             faces = f"{len(mesh.triangles):,} faces"
-            text = faces if level == 0 else f"{faces}, ±{1e3 * mesh.error_m:.1f} mm"
+            text = faces if level == 0 else f"{faces}, error {1e3 * mesh.error_m:.1f} mm"
             lit.append(self.studio.picture([actor], camera, size, floor=floor, lod=level))
-            wires.append(
-                label(self.studio.picture([actor], camera, size, view="wireframe", lod=level), text, size_px=18)
-            )
-        return [lit, wires]
+            wire = self.studio.picture([actor], camera, size, view="wireframe", lod=level)
+            wires.append(label(wire, text, size_px=max(11, min(18, size[0] // 18))))
+        columns = -(-len(lit) // -(-len(lit) // most))
+        rows: list[list[Pixels]] = []
+        for first in range(0, len(lit), columns):
+            rows += [lit[first : first + columns], wires[first : first + columns]]
+        return rows
 
 
 def draw_sheet(options: Options, source: Path | None, seam: int) -> None:
@@ -125,8 +134,9 @@ def draw_sheet(options: Options, source: Path | None, seam: int) -> None:
             camera = close_up(asset, *places[seam])
             before, after = comparison.seam_pair(camera, (width // 2 - 4, height // 2))
             rows.append([label(before, "as baked"), label(after, "seams erased")])
-        panel = width // len(asset.lods) - 8
-        below = (height - height // 2 - 16) // 2 if rows else height // 2 - 8
+        bands = -(-len(asset.lods) // 6)
+        panel = width // -(-len(asset.lods) // bands) - 8
+        below = (height - (height // 2 if rows else 0)) // (2 * bands) - 8
         actor = make_actor(comparison.after, options)
         camera = choose_camera(comparison.after, options)
         rows += comparison.levels(actor, camera, (max(panel, 16), max(below, 16)))

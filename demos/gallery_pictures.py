@@ -58,7 +58,8 @@ def _camera(
 def hero(comparison: Comparison) -> Pixels:
     """The character in a walking step, lit."""
     actor = comparison.after.actor(clip="walk", time_s=0.62)
-    camera = _camera(comparison, (0.62, 0.20, 1.0), HERO_SIZE[0] / HERO_SIZE[1], 0.86)
+    camera = _camera(comparison, (0.80, 0.22, 1.0), HERO_SIZE[0] / HERO_SIZE[1])
+    camera = comparison.studio.fit([actor], camera, HERO_SIZE)
     floor = comparison.asset.manifest.bind_bounds
     return comparison.studio.picture([actor], camera, HERO_SIZE, floor=floor, lod=0, tessellation="auto")
 
@@ -66,23 +67,22 @@ def hero(comparison: Comparison) -> Pixels:
 def levels(comparison: Comparison) -> Pixels:
     """Every level of detail, lit and as a wireframe."""
     actor = comparison.after.actor(clip="idle", time_s=0.0)
-    size = (400, 380)
-    return side_by_side(comparison.levels(actor, _camera(comparison, (0.9, 0.25, 1.0), size[0] / size[1]), size))
+    size = (400, 350)
+    camera = _camera(comparison, (0.9, 0.25, 1.0), size[0] / size[1])
+    return side_by_side(comparison.levels(actor, comparison.studio.fit([actor], camera, size, 0.8), size))
 
 
 def distance(comparison: Comparison) -> Pixels:
-    """Levels chosen by distance, coloured by level, beside the same lit."""
+    """Levels chosen by distance: lit, and coloured by level."""
     box = comparison.asset.manifest.bind_bounds
     actors = []
-    for index, z in enumerate((0.0, -2.2, -5.5, -10.5, -18.0)):
+    for index, away in enumerate((0.0, 2.2, 6.0, 14.0, 34.0)):
         transform = np.eye(4)
-        transform[:3, 3] = (-1.1 * index - 0.12 * index**2, 0.0, z)
+        transform[:3, 3] = (-0.42 * away - 0.25 * bool(index), 0.0, -away)
         actors.append(comparison.after.actor(clip="walk", time_s=0.21 * index, transform=transform))
-    near = _camera(comparison, (0.75, 0.42, 1.0), 0.8, 1.0)
-    eye = np.asarray(near.eye)
-    target = np.asarray(near.target) + np.array([-0.95, 0.12, -1.0])
-    camera = Camera(tuple(eye + np.array([0.1, 0.25, 0.2])), tuple(target), fovy_deg=34.0)  # type: ignore[arg-type]
     size = (900, 620)
+    camera = _camera(comparison, (0.75, 0.34, 1.0), size[0] / size[1], 3.0)
+    camera = comparison.studio.fit(actors, camera, size, 0.90)
     lit = comparison.studio.picture(actors, camera, size, floor=box)
     colored = comparison.studio.picture(actors, camera, size, view="lod")
     drawn = comparison.studio.renderer.last_drawn
@@ -90,16 +90,19 @@ def distance(comparison: Comparison) -> Pixels:
     return side_by_side([[lit, label(colored, "levels, from near to far: " + ", ".join(map(str, chosen)), size_px=18)]])
 
 
-def _strip(comparison: Comparison, clip: str, times_s: list[float], direction: tuple[float, float, float]) -> Pixels:
-    size = (380, 440) if clip == "greet" else (460, 380)
+def _strip(
+    comparison: Comparison,
+    clip: str,
+    times_s: list[float],
+    direction: tuple[float, float, float],
+    size: tuple[int, int],
+) -> Pixels:
+    """Moments of a clip, all seen by one camera that all of them fit into."""
     box = comparison.asset.manifest.bind_bounds
-    whole = np.asarray(comparison.asset.manifest.clip_bounds.get(clip, box))
-    seen = np.stack([np.minimum(box[0], 0.35 * whole[0] + 0.65 * box[0]), 0.35 * whole[1] + 0.65 * box[1]])
-    seen[0, 1] = box[0, 1]
-    camera = framing(seen, size[0] / size[1], FOVY_DEG, direction, 1.0)
+    actors = [comparison.after.actor(clip=clip, time_s=time_s) for time_s in times_s]
+    camera = comparison.studio.fit(actors, _camera(comparison, direction, size[0] / size[1]), size, 0.9)
     panels = []
-    for time_s in times_s:
-        actor = comparison.after.actor(clip=clip, time_s=time_s)
+    for actor, time_s in zip(actors, times_s, strict=True):
         picture = comparison.studio.picture([actor], camera, size, floor=box, lod=0)
         panels.append(label(picture, f"{time_s:.2f} s", size_px=16))
     half = -(-len(panels) // 2)
@@ -108,12 +111,12 @@ def _strip(comparison: Comparison, clip: str, times_s: list[float], direction: t
 
 def walk(comparison: Comparison) -> Pixels:
     """Eight moments of the walk, from the side."""
-    return _strip(comparison, "walk", [1.1 * k / 8 for k in range(8)], (1.0, 0.16, 0.45))
+    return _strip(comparison, "walk", [1.1 * k / 8 for k in range(8)], (1.0, 0.16, 0.45), (460, 340))
 
 
 def greet(comparison: Comparison) -> Pixels:
     """Eight moments of the greeting, from the front."""
-    return _strip(comparison, "greet", [0.0, 0.36, 0.7, 0.98, 1.3, 1.62, 2.2, 3.0], (0.5, 0.12, 1.0))
+    return _strip(comparison, "greet", [0.0, 0.36, 0.7, 0.98, 1.3, 1.62, 2.2, 3.0], (0.5, 0.12, 1.0), (400, 460))
 
 
 def seam(comparison: Comparison) -> Pixels:
@@ -134,7 +137,7 @@ def views(comparison: Comparison) -> Pixels:
     """The signals that textures hold."""
     size = (470, 420)
     actor = comparison.after.actor()
-    camera = _camera(comparison, (0.8, 0.2, 1.0), size[0] / size[1])
+    camera = comparison.studio.fit([actor], _camera(comparison, (0.8, 0.2, 1.0), size[0] / size[1]), size, 0.92)
     panels = [
         label(comparison.studio.picture([actor], camera, size, view=view, lod=0), view.replace("_", " "), size_px=18)
         for view in ("base_color", "normal", "position", "weights")
@@ -146,7 +149,7 @@ def wireframe(comparison: Comparison) -> Pixels:
     """Triangles of the finest level, and the seams of the atlas."""
     size = (940, 760)
     actor = comparison.after.actor()
-    camera = _camera(comparison, (0.7, 0.2, 1.0), size[0] / size[1])
+    camera = comparison.studio.fit([actor], _camera(comparison, (0.7, 0.2, 1.0), size[0] / size[1]), size)
     return side_by_side(
         [[comparison.studio.picture([actor], camera, size, view=view, lod=0) for view in ("wireframe", "seams")]]
     )

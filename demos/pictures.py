@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import moderngl
@@ -68,6 +69,27 @@ class Studio:
         pixels = canvas.pixels()[..., :3].copy()
         canvas.release()
         return pixels
+
+    def fit(self, actors: Sequence[Actor], camera: Camera, size: tuple[int, int], fill: float = 0.86) -> Camera:
+        """Move a camera sideways, nearer or away until the actors fill a share of the picture, in its middle."""
+        for _ in range(4):
+            shown = self.picture(actors, camera, (size[0] // 4, size[1] // 4), view="mask")
+            paper = np.abs(shown.astype(int) - PAPER).max(axis=2) <= 2
+            rows, columns = np.flatnonzero(~paper.all(axis=1)), np.flatnonzero(~paper.all(axis=0))
+            if not len(rows):
+                return camera
+            low = np.array([columns[0], rows[0]]) / shown.shape[1::-1]
+            high = np.array([columns[-1] + 1, rows[-1] + 1]) / shown.shape[1::-1]
+            middle, extent = low + high - 1.0, float((high - low).max())
+            eye, target = np.asarray(camera.eye), np.asarray(camera.target)
+            matrices = camera.matrices(*size)
+            distance = float(np.linalg.norm(eye - target))
+            half = distance * np.tan(np.radians(camera.fovy_deg) / 2) * np.array([size[0] / size[1], 1.0])
+            shift = middle[0] * half[0] * matrices.rotation[0] - middle[1] * half[1] * matrices.rotation[1]
+            away = (eye - target) * extent / fill
+            target = target + shift
+            camera = dataclasses.replace(camera, eye=tuple(target + away), target=tuple(target))
+        return camera
 
     def release(self) -> None:
         """Free everything. May be called more than once."""

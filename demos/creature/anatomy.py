@@ -91,8 +91,23 @@ def _head() -> list[Piece]:
         Piece("head", Cone((0.060, 0.752, 0.480), (0.150, 0.722, 0.405), 0.030, 0.026), 0.045),
         Piece("lid", Ellipsoid((0.1095, 0.6855, 0.4535), (0.0664, 0.0664, 0.0664)), 0.012),
         Piece("eye", Ellipsoid(EYE, (EYE_RADIUS,) * 3), 0.003),
-        Piece("horn", Cone((0.062, 0.775, 0.330), (0.085, 0.850, 0.255), 0.034, 0.024), 0.02),
-        Piece("horn", Cone((0.085, 0.850, 0.255), (0.096, 0.885, 0.190), 0.024, 0.009), 0.01),
+    ]
+
+
+def _horn() -> list[Piece]:
+    """A short horn that bends back, tapering along a smooth curve of centres and radii."""
+    knots = np.array(
+        [
+            (0.060, 0.760, 0.345, 0.037),
+            (0.074, 0.812, 0.312, 0.031),
+            (0.088, 0.858, 0.262, 0.023),
+            (0.098, 0.886, 0.196, 0.009),
+        ]
+    )
+    curve = CubicSpline(np.arange(len(knots)), knots)(np.linspace(0.0, len(knots) - 1.0, 7))
+    return [
+        Piece("horn", Cone(_vec(a[:3]), _vec(b[:3]), float(a[3]), float(b[3])), 0.018 if k == 0 else 0.01)
+        for k, (a, b) in enumerate(itertools.pairwise(curve))
     ]
 
 
@@ -103,7 +118,7 @@ def _ear() -> list[Piece]:
     return [
         Piece("ear", Cone((0.145, 0.705, 0.310), (0.225, 0.772, 0.255), 0.046, 0.074, EAR_THIN, 0.40), 0.03),
         Piece("ear", Cone((0.225, 0.772, 0.255), (0.345, 0.855, 0.180), 0.074, 0.022, EAR_THIN, 0.42), 0.02),
-        Piece("ear", Ellipsoid((0.246, 0.785, 0.298), (0.100, 0.043, 0.034), roll=35, yaw=28), 0.03, carve=True),
+        Piece("ear", Ellipsoid((0.246, 0.785, 0.298), (0.092, 0.037, 0.031), roll=35, yaw=28), 0.03, carve=True),
     ]
 
 
@@ -160,6 +175,7 @@ def build_body() -> Field:
         *_toes("arm", 0.152, 0.195, 1.0),
         *_toes("leg", 0.162, -0.190, 1.06),
         *_head(),
+        *_horn(),
         *_tail_fin(),
         *_ear(),
         *_wing(),
@@ -184,7 +200,7 @@ _EDGE_M = {
     "mouth": 0.0100,
     "eye": 0.0095,
     "lid": 0.0095,
-    "horn": 0.0115,
+    "horn": 0.0095,
     "ear": 0.0110,
     "wing": 0.0120,
     "crest": 0.0100,

@@ -120,7 +120,7 @@ def paint(field: Field, mesh: BodyMesh, occlusion: Floats) -> Textures:
     # Belly: cream, with broad plates.
     along = np.where(canvas.share("neck", "head") > 0.5, p[:, 1] * 0.9 + p[:, 2] * 0.3, p[:, 2])
     phase = (along / 0.042) % 1.0
-    groove = np.minimum(phase, 1.0 - phase)
+    groove = np.minimum(phase, 1.0 - phase) + 0.5 * canvas.share("jaw", "head", "muzzle")
     plates = _mix(np.tile(_BELLY, (len(p), 1)), _BELLY_SHADE, 0.55 * _step(0.14, 0.0, groove) + 0.35 * noise)
     color = _mix(color, plates, under)
 
@@ -178,8 +178,8 @@ def _brush(mesh: BodyMesh, texels: Texels) -> Floats:
     """Mottling laid on chart by chart, as by a painter who sees only the flat picture: it does not meet at seams."""
     chart = mesh.charts[texels.face].astype(float)
     place = np.stack([texels.x * (22.0 / texels.size), texels.y * (22.0 / texels.size), 7.31 * chart], axis=1)
-    tone = 0.02 * np.sin(12.9898 * chart)
-    return 1.0 + tone + 0.17 * (fractal_noise(place, 2, 31) - 0.5)
+    tone = 0.03 * np.sin(12.9898 * chart)
+    return 1.0 + tone + 0.19 * (fractal_noise(place, 2, 31) - 0.5)
 
 
 def _tipness(canvas: _Canvas) -> Floats:

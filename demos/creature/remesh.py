@@ -234,11 +234,11 @@ def remesh(field: Field, points: Floats, faces: Ints, sizes: Floats) -> tuple[Fl
 
 
 def _bent_faces(field: Field, points: Floats, faces: Ints) -> NDArray[np.bool_]:
-    """Faces that look away from the skin, or have an angle under four degrees."""
+    """Faces that look away from the skin, or have an angle under two and a half degrees."""
     normals, _ = face_normals(points, faces)
     outwards = field.gradient(points[faces].mean(axis=1))
-    flat = corner_cotangents(points, faces).max(axis=1) > 14.0
-    return ((normals * outwards).sum(axis=1) < 0.2) | flat
+    flat = corner_cotangents(points, faces).max(axis=1) > 23.0
+    return ((normals * outwards).sum(axis=1) < 0.1) | flat
 
 
 def smooth_seams(
