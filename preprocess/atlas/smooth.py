@@ -17,13 +17,19 @@ from numba import njit
 from preprocess.atlas.layout import Layout
 from preprocess.mesh import Floats, Ints, TexturedSurface
 
-SWEEPS = 40
 MIN_AREA_REL = 1e-5
 """Least area of a uv triangle, relative to the square of its longest edge, that a move may leave."""
 
 
 def smooth_charts(
-    positions: Floats, faces: Ints, layout: Layout, corners: Floats, uvs: Floats, fractions: Floats, folds: Ints
+    positions: Floats,
+    faces: Ints,
+    layout: Layout,
+    corners: Floats,
+    uvs: Floats,
+    fractions: Floats,
+    folds: Ints,
+    sweeps: int,
 ) -> tuple[Floats, Floats]:
     """Move inner vertices and slide boundary vertices to lower the stretch.
 
@@ -40,6 +46,8 @@ def smooth_charts(
         Fraction along its path of each entry of the layout's `path_vertices`.
     folds : (C,) int32
         Charts with any are left alone, and so are their boundaries.
+    sweeps : int
+        Times that every vertex moves.
 
     Returns
     -------
@@ -73,7 +81,7 @@ def smooth_charts(
     edge_sq = _edge_squares(positions, faces)
     mean = edge_sq.mean() if edge_sq.size else 1.0
     _descend(
-        uvs, layout.face_uvs, edge_sq / mean, first, incident, moving, tied, boundary, start, stop, fractions, SWEEPS
+        uvs, layout.face_uvs, edge_sq / mean, first, incident, moving, tied, boundary, start, stop, fractions, sweeps
     )
     return uvs, fractions
 
