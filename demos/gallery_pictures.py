@@ -74,7 +74,6 @@ def levels(comparison: Comparison) -> Pixels:
 
 def distance(comparison: Comparison) -> Pixels:
     """Levels chosen by distance: lit, and coloured by level."""
-    box = comparison.asset.manifest.bind_bounds
     actors = []
     for index, away in enumerate((0.0, 2.2, 6.0, 14.0, 34.0)):
         transform = np.eye(4)
@@ -83,7 +82,7 @@ def distance(comparison: Comparison) -> Pixels:
     size = (900, 620)
     camera = _camera(comparison, (0.75, 0.34, 1.0), size[0] / size[1], 3.0)
     camera = comparison.studio.fit(actors, camera, size, 0.90)
-    lit = comparison.studio.picture(actors, camera, size, floor=box)
+    lit = comparison.studio.picture(actors, camera, size)
     colored = comparison.studio.picture(actors, camera, size, view="lod")
     drawn = comparison.studio.renderer.last_drawn
     chosen = [drawn[actor].level for actor in actors]

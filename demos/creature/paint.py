@@ -178,8 +178,8 @@ def _brush(mesh: BodyMesh, texels: Texels) -> Floats:
     """Mottling laid on chart by chart, as by a painter who sees only the flat picture: it does not meet at seams."""
     chart = mesh.charts[texels.face].astype(float)
     place = np.stack([texels.x * (22.0 / texels.size), texels.y * (22.0 / texels.size), 7.31 * chart], axis=1)
-    tone = 0.03 * np.sin(12.9898 * chart)
-    return 1.0 + tone + 0.19 * (fractal_noise(place, 2, 31) - 0.5)
+    tone = 0.05 * np.sin(12.9898 * chart)
+    return 1.0 + tone + 0.22 * (fractal_noise(place, 2, 31) - 0.5)
 
 
 def _tipness(canvas: _Canvas) -> Floats:
