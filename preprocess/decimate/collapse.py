@@ -28,6 +28,8 @@ from preprocess.decimate.rules import (
     PRICED,
     RETRY,
     SEAM_TOLERANCE,
+    SILHOUETTES,
+    corner_deviation,
     is_silhouette,
     orient,
     other_silhouette,
@@ -104,8 +106,17 @@ def _spread_deviation(m, h, free_ends):
                 m.deviation[e] = deviation
             return
     deviation, g = removal_deviation(m, h)
-    m.deviation[g] = deviation
-    m.deviation[m.links[g, TWIN]] = deviation
+    if deviation <= m.settings[SEAM_TOLERANCE]:
+        m.deviation[g] = deviation
+        m.deviation[m.links[g, TWIN]] = deviation
+        return
+    deviation = corner_deviation(m, h)
+    g = m.links[previous_of(t), TWIN]
+    while g != t:
+        if is_silhouette(m.links, g):
+            m.deviation[g] = deviation
+            m.deviation[m.links[g, TWIN]] = deviation
+        g = m.links[previous_of(g), TWIN]
 
 
 @helper
@@ -158,8 +169,10 @@ def collapse(m, h, row, free_ends):
     g = t
     while True:
         m.links[g, TAIL] = a
-        if m.links[g, WEDGE] >= 0:
-            m.links[g, WEDGE] = a0 if m.links[g, WEDGE] == b0 else a1
+        if m.links[g, WEDGE] >= 0 and m.links[g, WEDGE] == b0:
+            m.links[g, WEDGE] = a0
+        elif m.links[g, WEDGE] >= 0 and m.links[g, WEDGE] == b1:
+            m.links[g, WEDGE] = a1
         g = m.links[previous_of(g), TWIN]
         if g == t:
             break
@@ -169,6 +182,8 @@ def collapse(m, h, row, free_ends):
     m.vertices[a, OUT] = to_c
     m.vertices[m.links[from_c, TAIL], OUT] = from_c
     m.vertices[m.links[from_d, TAIL], OUT] = from_d
+    if m.vertices[b, SILHOUETTES] > 2:
+        m.vertices[a, SILHOUETTES] += m.vertices[b, SILHOUETTES] - 2
     num_faces = len(m.orientation)
     for e in (h, hn, hp, t, tn, tp):
         m.links[e, TWIN] = -1

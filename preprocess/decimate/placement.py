@@ -36,6 +36,7 @@ from preprocess.decimate.rules import (
     POSE_QUADRIC,
     POSE_ROTATION,
     SEAM_TOLERANCE,
+    SILHOUETTES,
     STRICT,
     STRICT_NONE,
     STRICT_SEAMLESS,
@@ -199,7 +200,10 @@ def _propose_fixed(m, h, full):
     q, s = m.ten, m.work
     clear(q)
     hold_vertex(m.links, m.uv, m.quadric, q, h, scale)
-    hold_end(m.links, m.quadric, q, m.links[next_of(h), WEDGE], m.links[t, WEDGE], u0, v0, u1, v1, scale)
+    if m.vertices[m.links[t, TAIL], SILHOUETTES] > 2:
+        hold_vertex(m.links, m.uv, m.quadric, q, t, scale)
+    else:
+        hold_end(m.links, m.quadric, q, m.links[next_of(h), WEDGE], m.links[t, WEDGE], u0, v0, u1, v1, scale)
     n = FIRST
     x, y, z = m.xyz[a, 0], m.xyz[a, 1], m.xyz[a, 2]
     if m.texture.shape[0] == 0:

@@ -8,6 +8,7 @@
 | seam                  | none unifiable      | never (NO_FREE_END)                 | a corner would be cut       |
 | seam                  | one unifiable       | the other's uvs; xyz free           | the other end is a corner   |
 | seam                  | both unifiable      | t along both joint lines; xyz free  | p, a, b, q are on one line  |
+| seam, relaxed         | none unifiable      | one end's uvs; xyz free             | it is shorter than allowed  |
 | boundary              | as on a seam        | the same, with one side             |                             |
 | to the virtual vertex |                     | never                               | it stands for a hole        |
 
@@ -203,6 +204,25 @@ def removal_deviation(m, h):
 
 
 @helper
+def corner_deviation(m, h):
+    """Deviation of the silhouette edges at the corner b of a seam edge h = a -> b if b moves onto a."""
+    t = m.links[h, TWIN]
+    a0, a1 = m.links[h, WEDGE], m.links[next_of(t), WEDGE]
+    b0, b1 = m.links[next_of(h), WEDGE], m.links[t, WEDGE]
+    if a0 < 0 or b1 < 0 or b0 == b1:
+        return math.inf  # a boundary, or the end of a cut
+    uv = m.uv
+    left = (uv[a0, 0] - uv[b0, 0]) ** 2 + (uv[a0, 1] - uv[b0, 1]) ** 2
+    right = (uv[a1, 0] - uv[b1, 0]) ** 2 + (uv[a1, 1] - uv[b1, 1]) ** 2
+    before = m.deviation[h]
+    g = m.links[previous_of(t), TWIN]
+    while g != t:
+        before = max(before, m.deviation[g])
+        g = m.links[previous_of(g), TWIN]
+    return before + math.sqrt(max(left, right))
+
+
+@helper
 def orient(m, h):
     """Apply the rule table to an edge.
 
@@ -232,4 +252,7 @@ def orient(m, h):
         return ALLOWED, h, 1
     if drop_a <= tolerance:
         return ALLOWED, t, 1
+    drop_b, drop_a = corner_deviation(m, h), corner_deviation(m, t)
+    if min(drop_a, drop_b) <= tolerance:
+        return ALLOWED, h if drop_b <= drop_a else t, 1
     return NO_FREE_END, h, 0
