@@ -342,23 +342,25 @@ class Model:
             self._line_buffers[level] = self._keep(self.ctx.buffer(self._index_bytes(mesh, indices)))
         return self._line_buffers[level]
 
-    def joint_texture(self, joint_rows: NDArray[np.float32]) -> moderngl.Texture:
-        """The texture of poses, filled with (A, J, 3, 4) float32 matrices, one pose a row."""
-        num_poses, num_joints = joint_rows.shape[:2]
+    def joint_texture(self, joint_texels: NDArray[np.float32]) -> moderngl.Texture:
+        """The texture of poses, filled with (A, J, R, 4) float32, R texels a joint along x, one pose a row."""
+        num_poses, num_joints, per_joint = joint_texels.shape[:3]
+        width = per_joint * num_joints
         texture = self._joint_texture
-        if texture is None or texture.height < num_poses:
+        if texture is None or texture.height < num_poses or texture.width != width:
             limit = self.ctx.info["GL_MAX_TEXTURE_SIZE"]
-            if num_poses > limit:
+            if num_poses > limit or width > limit:
                 raise RenderError(
-                    f"{num_poses} actors of {self.asset.name} at once, this context allows {limit}: draw in parts"
+                    f"{num_poses} actors of {self.asset.name} with {num_joints} joints at once, this context allows "
+                    f"textures of {limit} texels: draw in parts"
                 )
             capacity = min(limit, max(num_poses, 2 * texture.height if texture else 1))
             if texture is not None:
                 texture.release()
-            texture = self.ctx.texture((3 * num_joints, capacity), 4, dtype="f4")
+            texture = self.ctx.texture((width, capacity), 4, dtype="f4")
             texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
             self._joint_texture = texture
-        texture.write(joint_rows, viewport=(0, 0, 3 * num_joints, num_poses))
+        texture.write(joint_texels, viewport=(0, 0, width, num_poses))
         return texture
 
     def instance_buffer(self, key: Any, instances: NDArray[Any]) -> moderngl.Buffer:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from runtime import gl_state
 from runtime.actor import ActorBatch, gather
 from runtime.camera import Camera, CameraMatrices, MatrixCamera
+from runtime.dual_quaternions import joint_texels
 from runtime.environment import Lighting
 from runtime.errors import RenderError
 from runtime.gl_state import Functions, saved_state
@@ -40,6 +41,7 @@ MAX_FACTOR = 64.0  # every OpenGL with tessellation has it
 # Mesa's software rasteriser numbers the vertices that one call tessellates with 16 bits, and drops what is beyond.
 SOFTWARE_RENDERERS = ("llvmpipe", "softpipe")
 SOFTWARE_VERTICES_A_CALL = 60_000
+SKINNING: dict[str, dict[str, str | int]] = {"linear": {}, "dual_quaternion": {"DUAL_QUATERNIONS": 1}}
 _PATCH_STAGES = ("patch.vert", "patch.tesc", "patch.tese")
 
 
@@ -93,6 +95,8 @@ class Renderer:
         The caller's.
     lighting : Lighting, optional
     quality : Quality, optional
+    skinning : "linear" or "dual_quaternion"
+        How joints are blended. Dual quaternions keep volume in twists; crowds are always blended linearly.
     shader_defines : mapping, optional
         Preprocessor definitions for all programs: `EQUAL_SPACING` tessellates with equal instead of fractional
         spacing, `WITHOUT_OWNERS` fetches geometry at each copy's own uv (to see what owners are for).
@@ -109,6 +113,7 @@ class Renderer:
         *,
         lighting: Lighting | None = None,
         quality: Quality | None = None,
+        skinning: str = "linear",
         shader_defines: Mapping[str, str | int] | None = None,
     ) -> None:
         require_alive(ctx, "renderer")
@@ -117,7 +122,10 @@ class Renderer:
         self.quality = quality or Quality()
         self.has_tessellation = ctx.version_code >= TESSELLATION_VERSION_CODE
         self.last_drawn: dict[Actor, DrawnActor] = {}
-        self._defines = dict(shader_defines or {})
+        if skinning not in SKINNING:
+            raise RenderError(f"no skinning {skinning!r}: one of {', '.join(SKINNING)}")
+        self.skinning = skinning
+        self._defines = {**SKINNING[skinning], **(shader_defines or {})}
         self._views = dict(VIEWS)
         self._programs: dict[tuple[str, bool, bool], moderngl.Program] = {}
         self._models: weakref.WeakSet[Model] = weakref.WeakSet()
@@ -362,7 +370,10 @@ class Renderer:
         if not seen.any():
             return []
         self._models.add(model)
-        model.joint_texture(np.ascontiguousarray(batch.joint_rows, np.float32))
+        is_dual = self.skinning == "dual_quaternion"
+        model.joint_texture(
+            np.ascontiguousarray(joint_texels(batch.joint_rows) if is_dual else batch.joint_rows, np.float32)
+        )
         records = np.zeros(len(levels), INSTANCE)
         records["rows"] = transforms[:, :3]
         records["rows"][:, :, 3] = transforms[:, :3, 3] - matrices.eye

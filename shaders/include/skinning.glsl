@@ -87,6 +87,60 @@ bool read_record(uint record, vec4 shares, inout float left, out uvec4 joints, o
     return more;
 }
 
+#ifdef DUAL_QUATERNIONS
+// A blend of dual quaternions and stretches (runtime/dual_quaternions.py).
+struct DualBlend {
+    vec4 real;
+    vec4 dual;
+    mat3 stretch;  // rows as columns
+};
+
+void add_joint(inout DualBlend blend, int joint, int pose, float weight) {
+    ivec2 at = ivec2(5 * joint, pose);
+    vec4 real = texelFetch(joint_texture, at, 0);
+    PRECISE float signed_weight = dot(real, blend.real) < 0.0 ? -weight : weight;  // q and -q turn alike
+    blend.real += real * signed_weight;
+    blend.dual += texelFetch(joint_texture, at + ivec2(1, 0), 0) * signed_weight;
+    blend.stretch += mat3(
+        texelFetch(joint_texture, at + ivec2(2, 0), 0).xyz,
+        texelFetch(joint_texture, at + ivec2(3, 0), 0).xyz,
+        texelFetch(joint_texture, at + ivec2(4, 0), 0).xyz) * weight;
+}
+
+mat3x4 dual_matrix(DualBlend blend) {
+    float scale = inversesqrt(max(dot(blend.real, blend.real), 1e-30));
+    PRECISE vec4 q = blend.real * scale;
+    PRECISE vec4 d = blend.dual * scale;
+    PRECISE vec3 moved = 2.0 * (q.w * d.xyz - d.w * q.xyz + cross(q.xyz, d.xyz));
+    vec3 twice = 2.0 * q.xyz;
+    vec3 x = vec3(1.0 - twice.y * q.y - twice.z * q.z, twice.x * q.y - twice.z * q.w, twice.x * q.z + twice.y * q.w);
+    vec3 y = vec3(twice.x * q.y + twice.z * q.w, 1.0 - twice.x * q.x - twice.z * q.z, twice.y * q.z - twice.x * q.w);
+    vec3 z = vec3(twice.x * q.z - twice.y * q.w, twice.y * q.z + twice.x * q.w, 1.0 - twice.x * q.x - twice.y * q.y);
+    return mat3x4(
+        vec4(blend.stretch * x, moved.x), vec4(blend.stretch * y, moved.y), vec4(blend.stretch * z, moved.z));
+}
+
+// The joints' motions blended with the weights at a place of the atlas (dual quaternion skinning).
+mat3x4 blend_joints(vec2 uv, int pose) {
+    TexelCell cell = texel_cell(uv, weight_size);
+    vec4 shares = texel_shares(cell.fraction);
+    uint record = texelFetch(weight_cells, cell.corner, 0).r;
+    DualBlend blend = DualBlend(vec4(0.0), vec4(0.0), mat3(0.0));
+    float left = 1.0;
+    bool more = true;
+    while (more) {
+        uvec4 joints;
+        vec4 weights;
+        more = read_record(record, shares, left, joints, weights);
+        add_joint(blend, int(joints.x), pose, weights.x);
+        add_joint(blend, int(joints.y), pose, weights.y);
+        add_joint(blend, int(joints.z), pose, weights.z);
+        add_joint(blend, int(joints.w), pose, weights.w);
+        record += 1u;
+    }
+    return dual_matrix(blend);
+}
+#else
 // The joints' matrices blended with the weights at a place of the atlas (linear blend skinning).
 // Mesa's software rasteriser runs this form of the loop a tenth faster than one over read_record().
 mat3x4 blend_joints(vec2 uv, int pose) {
@@ -112,6 +166,7 @@ mat3x4 blend_joints(vec2 uv, int pose) {
     }
     return blended;
 }
+#endif
 
 // Position at rest, object space, metres.
 vec3 rest_position(vec2 uv) {
