@@ -85,6 +85,8 @@ class PointCapture:
         self._renderer.draw([actor], camera, view="depth", lod=level, tessellation=tessellation)
         count = int(np.frombuffer(self._storage.read(4), np.uint32)[0])
         assert count <= MAX_POINTS
+        if not count:
+            return np.zeros((0, 12), np.float32)
         return np.frombuffer(self._storage.read(POINT_BYTES * count, offset=16), np.float32).reshape(-1, 12).copy()
 
     def release(self) -> None:
