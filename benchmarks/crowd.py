@@ -38,7 +38,7 @@ BUILT = Path("out/benchmarks/human.seamless")
 COARSEST_FACES = 48
 UV_WEIGHT = 1.0  # of meshoptimizer's attribute metric; its documentation's own scale for unit-sized attributes
 OVERSAMPLING = 3  # pixels of the reference along a pixel's side
-THRESHOLDS_PX = (0.5, 0.7, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
+THRESHOLDS_PX = (1.0, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 5.5, 6.0, 7.0, 8.0)
 BACKGROUND = (0.62, 0.66, 0.70, 1.0)
 
 
@@ -281,7 +281,8 @@ class _Bench:
         return crowd
 
     def draw(self, crowd: runtime.Crowd, canvas: Canvas, threshold_px: float) -> None:
-        """One picture."""
+        """One picture, its levels chosen without memory of the last one."""
+        crowd.stage.forget_levels()
         self.renderer.quality = runtime.Quality(threshold_px=threshold_px)
         with canvas.drawing(BACKGROUND):
             self.renderer.draw([crowd], self.camera, view="base_color")

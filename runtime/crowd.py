@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from runtime import gl_state
 from runtime.actor import joint_boxes_of
 from runtime.clip import Clip
-from runtime.crowd_bake import MAX_ROWS, bake_clips, pick_joints
+from runtime.crowd_bake import MAX_ROWS, bake_clips, dropped_shift, pick_joints
 from runtime.crowd_levels import CrowdLevel, expand_levels, vertex_bytes
 from runtime.crowd_stage import INSTANCE_WORDS, Selection, Stage
 from runtime.errors import RenderError
@@ -34,6 +34,8 @@ _ViewKey = tuple[str, str | None]
 
 # The nearest row is taken at levels whose error is so many times what the rounding in time may move a point.
 ROUNDING_MARGIN = 4.0
+# Four joints a vertex rather than eight where that moves nothing by more than this part of the level's own error.
+DROPPED_SHARE = 0.25
 _INSTANCE_ATTRIBUTES = (
     # name, components, type, normalised, byte offset
     ("in_world_row0", 4, gl_state.FLOAT, 0, 0),
@@ -216,7 +218,10 @@ class Crowd:
         """Buffers of every level."""
         levels = []
         for lod, (positions, joints, weights) in zip(self.model.lods, expand_levels(self.ctx, self.model)):
-            few_joints, few_weights = pick_joints(joints, weights)
+            error_m = lod.mesh.error_m
+            shifts = [dropped_shift(self.baked.matrices, positions, joints, weights, width) for width in (4, 8)]
+            eight = shifts[0] > DROPPED_SHARE * error_m and shifts[0] > shifts[1]
+            few_joints, few_weights = pick_joints(joints, weights, 8 if eight else 4)
             vertices = vertex_bytes(positions, lod.mesh.uvs, few_joints, few_weights)
             levels.append(
                 CrowdLevel(
@@ -224,9 +229,9 @@ class Crowd:
                     indices=lod.indices,
                     index_size=lod.index_size,
                     groups=lod.groups,
-                    eight_joints=few_joints.shape[1] == 8,
-                    nearest_row=lod.mesh.error_m >= ROUNDING_MARGIN * self.baked.shift_m,
-                    error_m=lod.mesh.error_m,
+                    eight_joints=eight,
+                    nearest_row=error_m >= ROUNDING_MARGIN * self.baked.shift_m,
+                    error_m=error_m + shifts[int(eight)],
                 )
             )
         return tuple(levels)

@@ -25,8 +25,7 @@ Floats = NDArray[np.floating[Any]]
 # a blend of two is exact to micrometres. 1,400 rows of 53 joints are 3.5 MB.
 BAKE_RATE_HZ = 240.0
 MAX_ROWS = 8192
-# A vertex keeps four joints where the others together have no more weight than this, or eight.
-_NEGLIGIBLE_WEIGHT = 0.02
+_SAMPLED_ROWS = 48  # of all baked poses, for measuring what a simplification moves
 
 
 @dataclass(frozen=True)
@@ -129,28 +128,55 @@ def _sphere(matrices: NDArray[np.float32], boxes: NDArray[np.float64]) -> tuple[
     return (low + high) / 2, float(np.linalg.norm(high - low)) / 2 + 1e-4
 
 
-def pick_joints(joints: NDArray[Any], weights: Floats) -> tuple[NDArray[np.uint16], NDArray[np.float32]]:
-    """The strongest joints of each vertex, four where that does, else eight, weights summing to one.
+def pick_joints(joints: NDArray[Any], weights: Floats, width: int) -> tuple[NDArray[np.uint16], NDArray[np.float32]]:
+    """The strongest joints of each vertex, weights summing to one.
 
     Parameters
     ----------
     joints : (V, K) int
         A joint may occur more than once only with weight 0.
     weights : (V, K) float
+    width : int
+        How many to keep.
 
     Returns
     -------
-    joints (V, 4 or 8) uint16, weights (V, 4 or 8) float32
+    joints (V, width) uint16, weights (V, width) float32
     """
     order = np.argsort(-weights, axis=1, kind="stable")
     weights = np.take_along_axis(weights, order, axis=1).astype(np.float64)
     joints = np.take_along_axis(joints, order, axis=1)
-    for width in (4, 8):
-        if weights.shape[1] < width:
-            missing = ((0, 0), (0, width - weights.shape[1]))
-            weights, joints = np.pad(weights, missing), np.pad(joints, missing)
-        if weights[:, width:].sum(axis=1).max(initial=0.0) <= _NEGLIGIBLE_WEIGHT:
-            break
-    kept = weights[:, :width]
+    missing = ((0, 0), (0, max(0, width - weights.shape[1])))
+    kept, joints = np.pad(weights, missing)[:, :width], np.pad(joints, missing)[:, :width]
     kept = kept / np.maximum(kept.sum(axis=1, keepdims=True), 1e-12)
-    return np.where(kept > 0, joints[:, :width], 0).astype(np.uint16), kept.astype(np.float32)
+    return np.where(kept > 0, joints, 0).astype(np.uint16), kept.astype(np.float32)
+
+
+def dropped_shift(
+    matrices: NDArray[np.float32], positions: Floats, joints: NDArray[Any], weights: Floats, width: int
+) -> float:
+    """How far keeping only `width` joints moves any vertex, metres, over a sample of the baked poses.
+
+    Parameters
+    ----------
+    matrices : (R, J, 3, 4) float32
+    positions : (V, 3) float
+    joints, weights : (V, K)
+    width : int
+    """
+    affected = np.flatnonzero((weights > 0).sum(axis=1) > width)
+    if not len(affected):
+        return 0.0
+    rows = matrices[np.unique(np.linspace(0, len(matrices) - 1, _SAMPLED_ROWS).astype(int))]
+    points = np.concatenate([positions[affected], np.ones((len(affected), 1))], axis=1)
+    places = []
+    for few, amounts in (
+        (joints[affected], weights[affected]),
+        pick_joints(joints[affected], weights[affected], width),
+    ):
+        moved = np.zeros((len(rows), len(affected), 3))
+        for slot in range(few.shape[1]):
+            carried = np.einsum("rvij,vj->rvi", rows[:, few[:, slot]], points)
+            moved += amounts[:, slot, None] * carried
+        places.append(moved)
+    return float(np.linalg.norm(places[0] - places[1], axis=2).max())

@@ -194,6 +194,10 @@ class Stage:
         self._levels[numbers] = chosen
         return chosen
 
+    def forget_levels(self) -> None:
+        """Choose levels anew at the next picture, as if it were the first: no hysteresis from the last one."""
+        self._levels[:] = -1
+
     def pose_rows(self, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
         """Place of actors in the baked clips, (S,) float64: a row, and a fraction of the way to the next."""
         baked, clips = self.baked, self.clips[numbers]

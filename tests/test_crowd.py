@@ -15,7 +15,7 @@ from builders_asset import build_ball
 import runtime
 from runtime.bounds import joint_boxes, pose_bounds
 from runtime.crowd import Crowd
-from runtime.crowd_bake import bake_clips, pick_joints
+from runtime.crowd_bake import bake_clips, dropped_shift, pick_joints
 from runtime.crowd_stage import Stage
 from runtime.lod import choose_levels
 from runtime.pose import sample, skinning_rows
@@ -174,16 +174,22 @@ def test_bakes_hold_their_clips_and_end_where_they_end() -> None:
     assert len(bake_clips(skeleton, clips, boxes, max_rows=40).matrices) <= 40
 
 
-def test_the_strongest_joints_are_kept() -> None:
+def test_the_strongest_joints_are_kept_and_what_is_lost_is_measured() -> None:
     joints = np.arange(12)[None].repeat(2, axis=0)
     weights = np.array([[0.5, 0.3, 0.2, *[0] * 9], [0.2, 0.2, 0.15, 0.15, 0.1, 0.1, 0.05, 0.04, 0.01, 0, 0, 0]])
-    few, amounts = pick_joints(joints[:1], weights[:1])
-    assert few.tolist() == [[0, 1, 2, 0]] and amounts[0].tolist() == pytest.approx([0.5, 0.3, 0.2, 0])
-    many, amounts = pick_joints(joints, weights)
-    assert many.shape == (2, 8)
-    np.testing.assert_allclose(amounts.sum(axis=1), 1, atol=1e-6)
-    one, amounts = pick_joints(np.array([[3]]), np.array([[1.0]]))
+    few, amounts = pick_joints(joints, weights, 4)
+    assert few.tolist() == [[0, 1, 2, 0], [0, 1, 2, 3]]
+    np.testing.assert_allclose(amounts, [[0.5, 0.3, 0.2, 0], np.array([4, 4, 3, 3]) / 14], atol=1e-6)
+    one, amounts = pick_joints(np.array([[3]]), np.array([[1.0]]), 4)
     assert one.tolist() == [[3, 0, 0, 0]] and amounts.tolist() == [[1, 0, 0, 0]]
+    # Joint k moves everything by k metres along x: a vertex lands at the mean of its joints' numbers.
+    matrices = np.tile(np.eye(4, dtype=np.float32)[:3], (1, 12, 1, 1))
+    matrices[0, :, 0, 3] = np.arange(12)
+    for width in (4, 8):
+        kept, amounts = pick_joints(joints, weights, width)
+        lost = abs(float(weights[1] @ np.arange(12)) - float(amounts[1] @ kept[1]))
+        assert dropped_shift(matrices, np.zeros((2, 3)), joints, weights, width) == pytest.approx(lost, abs=1e-6)
+    assert dropped_shift(matrices, np.zeros((1, 3)), joints[:1], weights[:1], 4) == 0.0
 
 
 def test_clips_phases_and_speeds(ctx: Any, model: Any) -> None:
