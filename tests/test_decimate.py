@@ -428,3 +428,30 @@ def test_characters_reach_their_floor(name: str, asset_path: Callable[[str], Pat
     full = outline(surface)
     now_outline = outline(lod.surface)
     assert distance_to_segments(now_outline.reshape(-1, 2), full).max() < 1e-8
+
+
+def test_small_parts_vanish_only_when_allowed_and_said() -> None:
+    """A ball of 768 faces with 12 boxes of a twentieth of its size, which keep 12 faces each at exact seams."""
+    ball, crumb = box(8, 1.0), box(1)
+    pieces = [ball]
+    for i in range(12):
+        angle = 2.0 * np.pi * i / 12
+        place = 1.1 * np.array([np.cos(angle), np.sin(angle), 0.0])
+        pieces.append(replace(crumb, positions=0.03 * crumb.positions + place))
+    starts = np.cumsum([0] + [len(piece.positions) for piece in pieces])
+    uv_starts = np.cumsum([0] + [len(piece.uvs) for piece in pieces])
+    surface = TexturedSurface(
+        np.concatenate([piece.positions for piece in pieces]),
+        np.concatenate([piece.faces + start for piece, start in zip(pieces, starts)]).astype(np.int32),
+        np.concatenate([piece.uvs / (13, 1) + (i / 13, 0) for i, piece in enumerate(pieces)]),
+        np.concatenate([piece.face_uvs + start for piece, start in zip(pieces, uv_starts)]).astype(np.int32),
+    )
+    options = DecimateOptions(min_faces=8)
+    chain = decimate(surface, options)
+    dropping = [lod for lod in chain.lods if lod.dropped_parts]
+    assert dropping and chain.floor_faces == 13 * 12
+    for lod in dropping:
+        assert not lod.exact and lod.error_m > 0.1  # a box's diagonal
+        assert any(f"leaves out {lod.dropped_parts} small parts" in warning for warning in chain.warnings)
+    kept = decimate(surface, replace(options, drop_parts=False))
+    assert not any(lod.dropped_parts for lod in kept.lods) and not any("leaves out" in text for text in kept.warnings)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +27,10 @@ log = logging.getLogger(__name__)
 MIN_SAVING_REL = 0.2
 # The run may stop this far above the floor that the charts' corners set.
 NEAR_FLOOR_REL = 1.5
+# No relaxed level after one whose error is this share of the bounding diagonal: the character is a few pixels by then.
+MAX_ERROR_REL = 0.25
 # Allowances tried for a relaxed level, as multiples of what the level before would be allowed.
-RELAXED_GROWTHS = (1.0, 1.5, 2.25, 3.4)
+RELAXED_GROWTHS = (1.5, 2.25, 3.4)
 
 
 def _targets(num_faces: int, options: DecimateOptions) -> list[int]:
@@ -153,6 +155,29 @@ def _measured(reference: Reference, lod: Lod, at_least_m: float) -> Lod:
     )
 
 
+@dataclass(frozen=True)
+class _Attempt:
+    """A relaxed level to be: the state that was reached, and what went for it."""
+
+    engine: Engine
+    num_dropped: int
+    size_m: float
+
+    @property
+    def num_faces(self) -> int:
+        return self.engine.num_faces
+
+
+def _relaxed_attempt(engine: Engine, error_m: float, target: int, options: DecimateOptions) -> _Attempt:
+    """Go on from a state as if the error were known; whole parts go only where collapses do not suffice."""
+    copy = engine.copy()
+    copy.relax(options.relaxed_px * error_m / engine.metres_per_uv)
+    copy.run_to(target)
+    if copy.num_faces <= target or not options.drop_parts:
+        return _Attempt(copy, 0, 0.0)
+    return _Attempt(copy, *copy.drop_parts(error_m, target))
+
+
 def _relaxed_levels(
     engine: Engine, reference: Reference, finest: Lod, targets: list[int], options: DecimateOptions
 ) -> list[Lod]:
@@ -164,21 +189,28 @@ def _relaxed_levels(
     reaches the target, else the largest, if what was used of it fits the error that came of it; else the least.
     """
     lods: list[Lod] = []
-    last = finest
+    last, dropped = finest, 0
+    diagonal_m = reference.surface.diagonal_m
     for target in targets:
-        attempts = [engine.copy() for _ in RELAXED_GROWTHS]
-        for growth, attempt in zip(RELAXED_GROWTHS, attempts, strict=True):
-            attempt.relax(growth * options.relaxed_px * last.error_m / engine.metres_per_uv)
-            attempt.run_to(target)
-        attempts = [attempt for attempt in attempts if attempt.num_faces <= (1 - MIN_SAVING_REL) * last.num_faces]
-        reaching = [attempt for attempt in attempts if attempt.num_faces <= target]
-        for attempt in (*(reaching[:1] or attempts[-1:]), *attempts[:1]):
-            lod = _measured(reference, attempt.snapshot(), last.error_m)
-            if attempt.deviation_uv * engine.metres_per_uv <= options.relaxed_px * lod.error_m:
-                exact = attempt.deviation_uv <= options.seam_tolerance_uv
-                last = replace(lod, exact=exact, uv_bound_px=attempt.deviation_uv * options.texture_px)
+        if last.error_m > MAX_ERROR_REL * diagonal_m:
+            break
+        attempts = [
+            _relaxed_attempt(engine, growth * last.error_m, target, options) for growth in (1.0, *RELAXED_GROWTHS)
+        ]
+        attempts = [tried for tried in attempts if tried.num_faces <= (1 - MIN_SAVING_REL) * last.num_faces]
+        reaching = [tried for tried in attempts if tried.num_faces <= target]
+        for tried in (*(reaching[:1] or attempts[-1:]), *attempts[:1]):
+            lod = _measured(reference, tried.engine.snapshot(), last.error_m)
+            strayed_uv = tried.engine.deviation_uv
+            if strayed_uv * engine.metres_per_uv <= options.relaxed_px * lod.error_m and tried.size_m <= lod.error_m:
+                engine, dropped = tried.engine, dropped + tried.num_dropped
+                last = replace(
+                    lod,
+                    exact=strayed_uv <= options.seam_tolerance_uv and not dropped,
+                    uv_bound_px=strayed_uv * options.texture_px,
+                    dropped_parts=dropped,
+                )
                 lods.append(last)
-                engine = attempt
                 break
     return lods
 
@@ -240,9 +272,8 @@ def decimate(
     warnings = list(engine.repairs.warnings())
     for level, lod in enumerate(relaxed, len(lods)):
         if not lod.exact:
-            warnings.append(
-                f"level {level} ({lod.num_faces} faces) has seams relaxed by up to {lod.uv_bound_px:.1f} texels"
-            )
+            text = f"level {level} ({lod.num_faces} faces) has seams relaxed by up to {lod.uv_bound_px:.1f} texels"
+            warnings.append(text + (f" and leaves out {lod.dropped_parts} small parts" if lod.dropped_parts else ""))
     lods += relaxed
     log.info("decimate: %d -> %s faces", len(surface.faces), ", ".join(str(lod.num_faces) for lod in lods))
     return Chain(tuple(lods), floor, blocked, engine.repairs, tuple(warnings))

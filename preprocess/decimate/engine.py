@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from preprocess.decimate import rules
 from preprocess.decimate.collapse import run
@@ -102,6 +104,45 @@ class Engine:
         mesh.vertices[:, rules.NUM_BLOCKED] = 0
         mesh.counter[rules.HEAP_SIZE] = 0
         mesh.counter[rules.PRICED] = 0
+
+    def drop_parts(self, size_m: float, target_faces: int) -> tuple[int, float]:
+        """Remove whole parts, the smallest first, until the target is met; call `relax` after.
+
+        Only parts whose bounding box has a diagonal of at most `size_m` go, and never the largest.
+
+        Returns
+        -------
+        int
+            Parts removed.
+        float
+            Diagonal of the largest of them, metres.
+        """
+        mesh, num_faces = self.mesh, self.half_edges.num_faces
+        alive = np.flatnonzero(mesh.links[: 3 * num_faces : 3, TAIL] >= 0)
+        faces = mesh.links[3 * alive[:, None] + np.arange(3), TAIL]
+        num_vertices = len(mesh.xyz)
+        ends = faces[:, :2].ravel(), faces[:, 1:].ravel()
+        graph = coo_array((np.ones(len(ends[0]), np.int8), ends), shape=(num_vertices, num_vertices))
+        num_parts, part = connected_components(graph, directed=False)
+        low, high = np.full((num_parts, 3), np.inf), np.full((num_parts, 3), -np.inf)
+        used = np.unique(faces)
+        np.minimum.at(low, part[used], mesh.xyz[used])
+        np.maximum.at(high, part[used], mesh.xyz[used])
+        parts = np.unique(part[used])
+        sizes = np.zeros(num_parts)
+        sizes[parts] = np.linalg.norm(high[parts] - low[parts], axis=1) * self.scale_m
+        candidates = parts[(sizes[parts] <= size_m) & (parts != sizes.argmax())]
+        candidates = candidates[np.argsort(sizes[candidates], kind="stable")]
+        faces_after = self.num_faces - np.cumsum(np.bincount(part[faces[:, 0]], minlength=num_parts)[candidates])
+        candidates = candidates[: int(np.searchsorted(-faces_after, -target_faces)) + 1]
+        small = np.zeros(num_parts, bool)
+        small[candidates] = True
+        gone = np.append(small[part], False)[mesh.links[:, TAIL]] & (mesh.links[:, TAIL] >= 0)
+        gone = np.repeat(gone.reshape(-1, 3).any(axis=1), 3)  # with their virtual faces
+        mesh.links[gone, TAIL] = -1
+        mesh.links[gone, TWIN] = -1
+        mesh.counter[rules.FACES_LEFT] -= int(gone[: 3 * num_faces].sum()) // 3
+        return len(candidates), float(sizes[candidates].max(initial=0.0))
 
     @property
     def deviation_uv(self) -> float:

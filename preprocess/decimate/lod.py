@@ -43,6 +43,9 @@ class DecimateOptions:
         level: room for the rounding of uvs that are straight, and far below what any texture resolves.
     relaxed_px : float
         Largest such distance at levels below the exact floor, in texels of the mip level they are seen at; 0 for none.
+    drop_parts : bool
+        Whether relaxed levels may leave out whole parts that are smaller than their error, a pixel where they are
+        used; each says how many.
     texture_px : int
         Side of the largest texture, which says what the finest mip is.
     """
@@ -53,6 +56,7 @@ class DecimateOptions:
     uv_weight_rel: float = 0.05
     seam_tolerance_uv: float = 1e-9
     relaxed_px: float = 0.5
+    drop_parts: bool = True
     texture_px: int = 1024
 
 
@@ -77,6 +81,8 @@ class Lod:
         Mean angle between the normals there; NaN where not measured.
     exact : bool
         Whether every seam of it is a seam of the full mesh, retimed by nothing but rounding.
+    dropped_parts : int
+        Whole parts of the mesh left out because they are smaller than the level's error.
     uv_bound_px : float
         How far seams left their lines, in texels of the finest mip; 0 (rounding aside) where exact.
     """
@@ -92,6 +98,7 @@ class Lod:
     normal_error_rad: float = float("nan")
     exact: bool = True
     uv_bound_px: float = 0.0
+    dropped_parts: int = 0
 
     @property
     def num_faces(self) -> int:
