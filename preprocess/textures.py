@@ -24,6 +24,7 @@ from preprocess.erase import (
     erase_mips,
     measure_seams,
     plan_erasure,
+    quantise_weights,
 )
 from preprocess.erase.faults import Decision, choose_color_seams, choose_normal_seams, draw_decision
 from preprocess.gltf import Character
@@ -42,10 +43,13 @@ PICTURE_PX = 768  # side of the pictures for the report
 STEPS = {"uint8": 255, "uint16": 65535}
 # Weights of the mean squared jump (see EraseOptions.seam_weight). Geometry is owned, so it need not be closed further
 # than its texels resolve; what is seen is closed to under half an 8-bit step.
-GEOMETRY_SEAM_WEIGHT, COLOR_SEAM_WEIGHT = 1e8, 1e10
+COLOR_SEAM_WEIGHT = 1e10
 # Positions and weights at the full mesh's vertices weigh as much as seams do: shared points are owned and cannot crack,
 # so a jump of a hundred-thousandth of the size beside a seam costs less than a vertex out of place.
-GEOMETRY_WEIGHTS = dataclasses.replace(LOCAL, samples=1e8)
+GEOMETRY_OPTIONS = EraseOptions(weights=dataclasses.replace(LOCAL, samples=1e8), seam_weight=1e8)
+# Joint weights run from 0 to 1 and are stored in 255 steps: held tighter, maps of few texels swing far out of that
+# range and lose more where they are cut off than they gain.
+WEIGHT_OPTIONS = EraseOptions(weights=dataclasses.replace(LOCAL, samples=1e6), seam_weight=1e6)
 
 
 @dataclass(frozen=True)
@@ -99,7 +103,6 @@ class TextureStage:
         self.made_here = self._find_made_seams()
         self.decisions: dict[str, Decision] = {}
         self._coverage: dict[tuple[int, int], Coverage] = {}
-        self._geometry_erasers: dict[tuple[int, int], Eraser] = {}
         self._plans: dict[bytes, dict[tuple[int, int], Eraser]] = {}
 
     def cover(self, width: int, height: int) -> Coverage:
@@ -114,14 +117,10 @@ class TextureStage:
         weights = GLOBAL if self.settings.seams == "global" else LOCAL
         return EraseOptions(weights=weights, joined=joined, seam_weight=COLOR_SEAM_WEIGHT)
 
-    def geometry_eraser(self, size: tuple[int, int]) -> Eraser:
-        """The erasure of positions and weights: all seams joined, values known at the vertices. Once a size."""
-        if size not in self._geometry_erasers:
-            options = EraseOptions(weights=GEOMETRY_WEIGHTS, seam_weight=GEOMETRY_SEAM_WEIGHT)
-            self._geometry_erasers[size] = plan_erasure(
-                self.mesh.surface, self.seams, *size, options, sample_uvs=self.mesh.surface.uvs
-            )
-        return self._geometry_erasers[size]
+    def _geometry_eraser(self, size: tuple[int, int], options: EraseOptions) -> Eraser:
+        """The erasure of positions or weights: all seams joined, values known at the vertices."""
+        surface = self.mesh.surface
+        return plan_erasure(surface, self.seams, *size, options, sample_uvs=surface.uvs)
 
     def build(self) -> list[StoredTexture]:
         """Every texture of the character."""
@@ -133,7 +132,7 @@ class TextureStage:
         baked = bake_positions(self.mesh, (side, side)) if side else bake_positions_auto(self.mesh)
         size = (baked.shape[1], baked.shape[0])
         values = vertex_values(self.mesh, self.mesh.surface.positions)
-        erased = self.geometry_eraser(size).erase(baked, sample_values=values).texels
+        erased = self._geometry_eraser(size, GEOMETRY_OPTIONS).erase(baked, sample_values=values).texels
         stored = erased.astype(np.float32)
         return StoredTexture("position", (stored,), "float", size, self._seam(baked, erased, stored))
 
@@ -149,8 +148,9 @@ class TextureStage:
         used = np.flatnonzero(baked.max(axis=(0, 1)) > 0)
         values = vertex_values(self.mesh, self.mesh.dense_weights(num_joints)[:, used])
         erased = np.zeros_like(baked)
-        erased[..., used] = self.geometry_eraser(size).erase(baked[..., used], sample_values=values).texels
-        packed = pack_weights(np.clip(erased, 0.0, None))
+        eraser = self._geometry_eraser(size, WEIGHT_OPTIONS)
+        erased[..., used] = eraser.erase(baked[..., used], sample_values=values).texels
+        packed = pack_weights(quantise_weights(erased, eraser.strip) / 255.0)
         stored = unpack_weights(packed.stack, size, num_joints)
         seam = self._seam(baked, erased, stored)
         extra = {"layout": "texel-joints", "slots": packed.slots}

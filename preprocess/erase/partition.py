@@ -13,9 +13,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from preprocess.erase.quantise import GROWTH, LIMIT, MAX_ROUNDS, PEAK, STAY, TOLERATED, _gain
+from preprocess.erase.quantise import GROWTH, LIMIT, MAX_ROUNDS, TOLERATED, _gain
 from preprocess.erase.strip import SeamStrip
 from preprocess.mesh import Floats
+
+# Weights are also known at the vertices, and where a map is too coarse to meet both, a jump that nobody sees (shared
+# points are skinned once) is better than a limb that moves with the wrong joint. So peaks count less than in `quantise`
+# and staying near the solution more: on human at 384², mean error at the vertices 0.012 instead of 0.023. Peaks grow
+# only where the first search leaves less than HOPELESS steps.
+PEAK = 10.0
+STAY = 0.3
+HOPELESS = 2.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -63,7 +71,7 @@ def _search_pairs(
     settings,
 ):
     """Move stored integers (C, N; changed in place) between channels until no jump exceeds the limit or none helps."""
-    tolerated, stay, limit, growth, max_rounds = settings
+    tolerated, stay, limit, growth, max_rounds, hopeless = settings
     num_channels, num_texels = stored.shape
     num_points = len(weights)
     head, count, visits, rounds = 0, num_texels, 0, 0
@@ -71,6 +79,12 @@ def _search_pairs(
         if count == 0:
             rounds += 1
             violated = 0
+            worst = 0.0
+            for c in range(num_channels):
+                for p in range(num_points):
+                    worst = max(worst, abs(jump[c, p]))
+            if worst > hopeless:
+                break
             for c in range(num_channels):
                 for p in range(num_points):
                     if abs(jump[c, p]) > limit:
@@ -153,7 +167,7 @@ def quantise_weights(texels: Floats, strip: SeamStrip, levels: int = 255) -> NDA
         strip.weights, wanted, found,
         np.ascontiguousarray((rows @ found.T).T), np.full((num_channels, num_points), PEAK),
         np.arange(num_texels), np.ones(num_texels, np.bool_), float(levels),
-        (TOLERATED, STAY, LIMIT, GROWTH, MAX_ROUNDS),
+        (TOLERATED, STAY, LIMIT, GROWTH, MAX_ROUNDS, HOPELESS),
     )  # fmt: skip
     flat_stored[strip.texels] = found.T
     return stored
