@@ -152,7 +152,7 @@ def framing(
     aspect: float = 1.0,
     fovy_deg: float = 35.0,
     direction: ArrayLike = FRAMING_DIRECTION,
-    margin: float = 1.08,
+    margin: float = 1.0,
 ) -> Camera:
     """A camera that shows all of a box, with a little air around it.
 

