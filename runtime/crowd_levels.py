@@ -55,7 +55,7 @@ def _small_framebuffer(ctx: moderngl.Context, gl: gl_state.Functions) -> Iterato
 
 def expand_levels(ctx: moderngl.Context, model: Model) -> list[tuple[Floats, NDArray[np.int64], Floats]]:
     """Position (V, 3), joints (V, K) and weights (V, K) of every level's vertices, read back from the GPU."""
-    text = assemble("crowd_expand.vert", ctx.version_code).text
+    text = assemble("crowd_expand.vert", ctx.version_code, model.shader_defines).text
     program = ctx.program(vertex_shader=text, varyings=("rest", "joints", "weights"))
     for name, texture in model.textures.items():
         if name in program:
