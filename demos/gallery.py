@@ -50,7 +50,7 @@ class Step:
         for earlier in self.after:
             digest.update(earlier.stamp().encode())
         for pattern in self.sources:
-            for path in sorted(ROOT.glob(pattern)):
+            for path in sorted(path for path in ROOT.glob(pattern) if path.is_file()):
                 digest.update(path.relative_to(ROOT).as_posix().encode() + b"\0" + path.read_bytes())
         return digest.hexdigest()
 
