@@ -455,3 +455,15 @@ def test_small_parts_vanish_only_when_allowed_and_said() -> None:
         assert any(f"leaves out {lod.dropped_parts} small parts" in warning for warning in chain.warnings)
     kept = decimate(surface, replace(options, drop_parts=False))
     assert not any(lod.dropped_parts for lod in kept.lods) and not any("leaves out" in text for text in kept.warnings)
+
+
+def test_borders_between_groups_stay() -> None:
+    """Two halves of a square, drawn differently: the border is straight, so each half comes down to two faces."""
+    surface = square(8, 0.1)
+    groups = (surface.positions[surface.faces][:, :, 0].mean(axis=1) > 0.5).astype(np.int32)
+    full = np.abs(uv_areas(surface))
+    for lod in decimate(surface, EXACT, face_groups=groups).lods:
+        now = np.abs(uv_areas(lod.surface))
+        for group in range(2):
+            assert now[groups[lod.face_source] == group].sum() == pytest.approx(full[groups == group].sum(), rel=1e-9)
+    assert decimate(surface, EXACT, face_groups=groups).lods[-1].num_faces == 4

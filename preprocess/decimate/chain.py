@@ -221,6 +221,7 @@ def decimate(
     *,
     position_texture: NDArray[np.floating] | None = None,
     poses: NDArray[np.floating] | None = None,
+    face_groups: NDArray[np.integer] | None = None,
 ) -> Chain:
     """A chain of levels of detail that share one set of textures, each measured against the full mesh.
 
@@ -233,6 +234,9 @@ def decimate(
         What the vertices will be drawn at; the cost of a collapse is that of what is drawn.
     poses : (P, V, 3, 4) float or None
         Skinning matrix of every vertex of `surface` in each pose that counts besides the bind pose.
+    face_groups : (F,) int or None
+        Faces that are drawn differently (blended, double-sided): borders between groups stay where they are in uv,
+        like seams.
 
     Returns
     -------
@@ -246,7 +250,7 @@ def decimate(
         If the surface has no faces, numbers that are not finite, or a ratio is not in (0, 1].
     """
     options = options or DecimateOptions()
-    engine = make_engine(surface, options, position_texture, poses)
+    engine = make_engine(surface, options, position_texture, poses, face_groups)
     reference = make_reference(surface, poses)
     may_relax = options.ratios is None and options.relaxed_px > 0 and options.strict is Strictness.SEAMLESS
     near_floor = NEAR_FLOOR_REL * engine.predict_floor() if may_relax else 0

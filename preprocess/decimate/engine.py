@@ -190,6 +190,7 @@ def make_engine(
     options: DecimateOptions,
     position_texture: NDArray[np.floating] | None = None,
     poses: NDArray[np.floating] | None = None,
+    face_groups: NDArray[np.integer] | None = None,
 ) -> Engine:
     """Set up a run.
 
@@ -201,13 +202,15 @@ def make_engine(
         What the vertices will be drawn at; with None they are drawn where the run puts them.
     poses : (P, V, 3, 4) float or None
         Skinning matrix of every surface vertex in each pose that counts besides the bind pose.
+    face_groups : (F,) int or None
+        See `topology.build_half_edges`.
 
     Raises
     ------
     InputError
         See `topology.build_half_edges`.
     """
-    half_edges, repairs = build_half_edges(surface)
+    half_edges, repairs = build_half_edges(surface, face_groups)
     num_faces, num_half_edges = half_edges.num_faces, len(half_edges.tail)
     num_vertices = len(half_edges.vertex_source)
     used = surface.positions[half_edges.vertex_source]

@@ -171,12 +171,16 @@ def _clean_faces(surface: TexturedSurface) -> tuple[NDArray[np.int64], int, int]
     return unique, num_degenerate, len(kept) - len(unique)
 
 
-def build_half_edges(surface: TexturedSurface) -> tuple[HalfEdges, Repairs]:
+def build_half_edges(
+    surface: TexturedSurface, face_groups: NDArray[np.integer] | None = None
+) -> tuple[HalfEdges, Repairs]:
     """Clean a surface, make it manifold and connect it.
 
     Parameters
     ----------
     surface : TexturedSurface
+    face_groups : (F,) int or None
+        Where two groups meet is a seam, whatever the uvs.
 
     Returns
     -------
@@ -204,6 +208,9 @@ def build_half_edges(surface: TexturedSurface) -> tuple[HalfEdges, Repairs]:
     ahead = np.where(corner % 3 == 2, corner - 2, corner + 1)
     across = np.where(paired, twin, 0)
     joined = paired & (source_uv == source_uv[ahead[across]]) & (source_uv[ahead] == source_uv[across])
+    if face_groups is not None:
+        groups = np.repeat(np.asarray(face_groups)[kept], 3)
+        joined &= groups == groups[across]
     wedge, wedge_corner = _label_fans(source_vertex, np.where(joined, twin, -1).astype(np.int32))
 
     num_vertices = len(vertex_corner)
