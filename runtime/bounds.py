@@ -105,12 +105,12 @@ def pose_bounds(matrices: Floats, boxes: NDArray[np.float64]) -> Floats:
 def _carried_boxes(matrices: Floats, boxes: NDArray[np.float64]) -> Floats:
     """Box of every used joint's vertices, carried by the joint: (A, J used, 2, 3)."""
     used = np.flatnonzero(np.isfinite(boxes).all(axis=(1, 2)))
-    kept = matrices[:, used]
-    linear, shift = kept[..., :3, :3], kept[..., :3, 3]
-    centre = boxes[used].mean(axis=1).astype(matrices.dtype)
-    half = (np.ptp(boxes[used], axis=1) / 2).astype(matrices.dtype)
-    middle = (linear * centre[None, :, None, :]).sum(axis=3) + shift
-    reach = (np.abs(linear) * half[None, :, None, :]).sum(axis=3)
+    kept = matrices if len(used) == matrices.shape[1] else matrices[:, used]
+    columns = [kept[:, :, :3, axis] for axis in range(4)]
+    centre = boxes[used].mean(axis=1).astype(matrices.dtype)[:, :, None]
+    half = (np.ptp(boxes[used], axis=1) / 2).astype(matrices.dtype)[:, :, None]
+    middle = columns[0] * centre[:, 0] + columns[1] * centre[:, 1] + columns[2] * centre[:, 2] + columns[3]
+    reach = np.abs(columns[0]) * half[:, 0] + np.abs(columns[1]) * half[:, 1] + np.abs(columns[2]) * half[:, 2]
     return np.stack([middle - reach, middle + reach], axis=2)
 
 

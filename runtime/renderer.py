@@ -11,7 +11,7 @@ import weakref
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import moderngl
 import numpy as np
@@ -27,7 +27,7 @@ from runtime.gl_state import Functions, saved_state
 from runtime.gpu_asset import INSTANCE, NUM_TEXTURE_UNITS, TEXTURE_UNITS, Model, require_alive
 from runtime.lod import choose_levels, pixels_per_metre, transform_boxes, visible
 from runtime.patches import PATCH_VERTICES
-from runtime.programs import TESSELLATION_VERSION_CODE, build_program, require_version
+from runtime.programs import TESSELLATION_VERSION_CODE, build_program, require_version, set_uniforms
 from runtime.views import LINE_COLORS, LINES, VIEWS, CrowdFrame, DrawsItself, View
 
 if TYPE_CHECKING:
@@ -207,9 +207,7 @@ class Renderer:
                 stages.append(view.fragment)
             defines = {**self._defines, **view.defines, **model.shader_defines}
             program = build_program(self.ctx, stages, defines, view.text, view.folder)
-            for sampler, unit in TEXTURE_UNITS.items():
-                if sampler in program:
-                    program[sampler].value = unit  # type: ignore[union-attr]
+            set_uniforms(program, TEXTURE_UNITS)
             self._programs[key] = program
         return self._programs[key]
 
@@ -255,8 +253,8 @@ class Renderer:
             raise RenderError(f"no view {view!r}: one of {', '.join(self._views)}")
         factor = self._factor = self._checked_tessellation(tessellation)
         things = tuple(actors)
-        crowds = [thing for thing in things if isinstance(thing, DrawsItself)]
-        batches = gather(thing for thing in things if not isinstance(thing, DrawsItself))
+        crowds = [cast(DrawsItself, thing) for thing in things if hasattr(thing, "draw_in")]
+        batches = gather(thing for thing in things if not hasattr(thing, "draw_in"))
         for model, _ in batches:
             self._check_model(model, lod)
         with self._guard() as gl:
@@ -429,9 +427,8 @@ class Renderer:
         joints = model._joint_texture
         assert joints is not None
         joints.use(TEXTURE_UNITS["joint_texture"])
-        for uniform, value in {**model.constants, **uniforms}.items():
-            if uniform in program:
-                program[uniform].value = value  # type: ignore[union-attr]
+        set_uniforms(program, model.constants)
+        set_uniforms(program, uniforms)
 
     def _draw_group(
         self,
@@ -522,6 +519,4 @@ def set_material(program: moderngl.Program, material: MaterialData, blends: bool
         "emissive_factor": material.emissive_factor,
         "surface_flags": int(is_blended) | 2 * int(material.unlit),
     }
-    for uniform, value in values.items():
-        if uniform in program:
-            program[uniform].value = value  # type: ignore[union-attr]
+    set_uniforms(program, values)

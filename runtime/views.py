@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
     import moderngl
@@ -84,7 +84,6 @@ class CrowdFrame:
     defines: Mapping[str, str | int]
 
 
-@runtime_checkable
 class DrawsItself(Protocol):
     """What a renderer can draw besides actors: a crowd."""
 
