@@ -24,6 +24,7 @@ from preprocess.erase import (
     quantise_weights,
 )
 from preprocess.erase import eraser as eraser_module
+from preprocess.erase import plan as plan_module
 from preprocess.erase.mips import linear_to_srgb, mip_sizes, shrink, srgb_to_linear
 from preprocess.erase.quantise import PEAK, STAY, TOLERATED, _gain
 from preprocess.erase.solve import GRADIENT_MASS, NotConvergedError
@@ -56,7 +57,7 @@ def dense_solution(plan, image: np.ndarray, samples=None) -> np.ndarray:
     terms = [(weights.slope, slope_rows(
         plan.intervals, plan.lengths_m, inward_normals(plan.surface, plan.seams, width, height)), 0.0)]  # fmt: skip
     if plan.options.seam_value != "none":
-        lengths = eraser_module._silhouette_lengths(plan.surface, plan.seams)
+        lengths = plan_module._silhouette_lengths(plan.surface, plan.seams)
         rows, scale = value_rows(plan.silhouette, lengths)
         target = rows @ p0
         if plan.options.seam_value == "lerp":
@@ -97,7 +98,7 @@ def test_seams_vanish(name, size, weights):
 @pytest.mark.parametrize("seam_value", ["none", "texture", "lerp"])
 @pytest.mark.parametrize("name", ["pair", "cube"])
 def test_solution_equals_dense_solve(name, seam_value, monkeypatch):
-    monkeypatch.setattr(eraser_module, "_reaches", lambda weights, num: (40, 21))  # all texels are unknowns
+    monkeypatch.setattr(plan_module, "_reaches", lambda weights, num: (40, 21))  # all texels are unknowns
     surface = MESHES[name]
     seams = find_seams(surface)
     image = paint(26, 22, channels=2)
@@ -106,7 +107,7 @@ def test_solution_equals_dense_solve(name, seam_value, monkeypatch):
 
 
 def test_samples_hold_known_values(monkeypatch):
-    monkeypatch.setattr(eraser_module, "_reaches", lambda weights, num: (40, 21))
+    monkeypatch.setattr(plan_module, "_reaches", lambda weights, num: (40, 21))
     surface = MESHES["pair"]
     seams = find_seams(surface)
     image = paint(26, 22, channels=1)
@@ -129,7 +130,7 @@ def test_coarse_solution_agrees_with_the_full_grid(monkeypatch):
     for weights in (LOCAL, GLOBAL):
         plan = plan_erasure(surface, seams, 128, 128, EraseOptions(weights=weights))
         with monkeypatch.context() as patch:
-            patch.setattr(eraser_module, "_reaches", lambda weights, num: (100, 51))
+            patch.setattr(plan_module, "_reaches", lambda weights, num: (100, 51))
             full = plan_erasure(surface, seams, 128, 128, EraseOptions(weights=weights))
         assert len(plan.grid.nodes) < len(full.grid.nodes)
         difference = plan.erase(image).texels - full.erase(image).texels

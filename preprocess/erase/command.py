@@ -14,9 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.erase.eraser import GLOBAL, LOCAL, EraseOptions, Eraser, plan_erasure
+from preprocess.erase.eraser import Eraser
 from preprocess.erase.faults import Decision, choose_color_seams, draw_decision
 from preprocess.erase.mips import erase_mips
+from preprocess.erase.options import GLOBAL, LOCAL, EraseOptions
+from preprocess.erase.plan import plan_erasure
 from preprocess.erase.strip import SeamMeasure
 from preprocess.errors import InputError
 from preprocess.images import Image, read_image, write_image

@@ -1,7 +1,7 @@
-"""Seam erasure (paper, section 4; method, sections 2 and 3): the driver.
+"""Seam erasure of textures with a prepared system (paper, section 4; method, sections 2 and 3): the driver.
 
-`plan_erasure` lays the grid, assembles the energies and factors them once for a surface and an image size; the
-`Eraser` it returns solves any number of textures of that size. `erase` does both for one texture.
+Gather the texels that may change, form the right-hand side, solve for their change, carry it out to the texels between
+them; for integer formats, round such that the stored texels are seamless. See `plan` for the preparation.
 """
 
 from __future__ import annotations
@@ -16,38 +16,26 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from preprocess.erase.grid import Grid, build_grid, spread_change
-from preprocess.erase.intervals import Intervals, split_edges
+from preprocess.erase.grid import Grid, spread_change
+from preprocess.erase.intervals import Intervals
+from preprocess.erase.options import EraseOptions
 from preprocess.erase.quantise import round_strip
-from preprocess.erase.region import Region, find_region, silhouette_ends, silhouette_lines
+from preprocess.erase.region import Region, silhouette_ends
 from preprocess.erase.solve import (
     BOUND_TOLERANCE_REL,
     GRADIENT_MASS,
     Factor,
-    factorise,
-    grid_matrix,
     outside_force,
     solve_bounded,
     solve_change,
 )
 from preprocess.erase.strip import SeamMeasure, SeamStrip, build_strip, measure_intervals
-from preprocess.erase.terms import (
-    inward_normals,
-    jump_rows,
-    lerp_targets,
-    sample_rows,
-    slope_rows,
-    value_rows,
-)
+from preprocess.erase.terms import lerp_targets
 from preprocess.mesh import Floats, TexturedSurface
 from preprocess.seams import Seams
 from preprocess.texels import bilinear_stencil
 
 logger = logging.getLogger(__name__)
-
-# Penalty of the method of multipliers. Larger needs fewer repetitions, smaller keeps more digits: with this one the
-# gradient of the other energies still vanishes to 1e-6.
-PENALTY = 1e13
 
 # Mean squared jump of the solution, relative to the squared range of each channel's values. Nearly always met at the
 # first solution, which then does not depend on what other channels are solved with it.
@@ -59,67 +47,6 @@ MAX_STORED_JUMP = 0.48
 
 # Change below this fraction of the values' range is not carried out to the squares' texels.
 NEGLIGIBLE_REL = 1e-7
-
-
-@dataclass(frozen=True)
-class Weights:
-    """Weights of the energies (paper, section 4; method, section 3). Dimensionless.
-
-    Attributes
-    ----------
-    change : float
-        Squared change of inside texels, divided by their number: 1e4 local, 1e2 global.
-    inside_gradient, outside_gradient : float
-        Squared change of the gradient between inside texels; squared gradient where a texel is outside.
-    slope : float
-        C1 discontinuity across seams.
-    value : float
-        Deviation along the silhouette from known values (lerp) or from the original texture.
-    samples : float
-        Mean squared deviation at sample points.
-    """
-
-    change: float = 1e4
-    inside_gradient: float = 1.0
-    outside_gradient: float = 1.0
-    slope: float = 1e2
-    value: float = 1e2
-    samples: float = 1e4
-
-
-LOCAL = Weights()
-GLOBAL = Weights(change=1e2)
-
-
-@dataclass(frozen=True)
-class EraseOptions:
-    """How to erase.
-
-    Attributes
-    ----------
-    weights : Weights
-        `LOCAL` changes texels near seams only; `GLOBAL` spreads the difference ten times as far.
-    seam_value : str
-        "none", "texture" (stay near the original texture along the silhouette: texels outside are reliable) or
-        "lerp" (stay near values that run linearly between those at the edges' ends).
-    joined : (S,) bool or None
-        Seams that are erased; the others are left as they are. None: all.
-    repeat : bool
-        Whether the sampler repeats beyond the image (it clamps otherwise).
-    seam_weight : float or None
-        None closes seams exactly. Then each seam edge can carry no more than one quadratic wherever its two sides
-        cross texel lines at different places; a finite weight (1e8: about a hundredth of an 8-bit step is left) keeps
-        finer detail along long straight seams.
-    """
-
-    weights: Weights = LOCAL
-    seam_value: str = "none"
-    joined: NDArray[np.bool_] | None = None
-    repeat: bool = False
-    seam_weight: float | None = None
-
-
-DEFAULT_OPTIONS = EraseOptions()
 
 
 @dataclass(frozen=True)
@@ -362,7 +289,7 @@ class Eraser:
     def _own_end_values(self, values: Floats) -> Floats:
         """Values of the texture at the ends of every silhouette edge, one a surface vertex, (E, 2, C)."""
         ends = silhouette_ends(self.seams)
-        vertices = _surface_vertices(self.surface)[ends]
+        vertices = surface_vertices(self.surface)[ends]
         texels, weights = bilinear_stencil(self.surface.uvs[ends.ravel()], *self.grid.size_px)
         samples = np.einsum("nk,nkc->nc", weights, values[self.grid.node_of(texels)])
         num = len(self.surface.positions)
@@ -374,134 +301,8 @@ class Eraser:
         return (total / np.maximum(count, 1)[:, None])[vertices]
 
 
-def _surface_vertices(surface: TexturedSurface) -> NDArray[np.int64]:
+def surface_vertices(surface: TexturedSurface) -> NDArray[np.int64]:
     """Surface vertex of every texture vertex, (T,)."""
     vertices = np.zeros(len(surface.uvs), np.int64)
     vertices[surface.face_uvs.ravel()] = surface.faces.ravel()
     return vertices
-
-
-def _silhouette_lengths(surface: TexturedSurface, seams: Seams) -> Floats:
-    """3D lengths of the silhouette's edges, in the order of `silhouette_lines`."""
-    points = surface.positions[_surface_vertices(surface)[silhouette_ends(seams)]]
-    return np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
-
-
-def _on_nodes(matrix: sparse.csr_array, grid: Grid) -> sparse.csr_array:
-    """The same rows over the grid's nodes instead of all texels."""
-    columns = grid.node_of(matrix.indices.astype(np.int64)) if matrix.nnz else matrix.indices
-    rows = sparse.csr_array((matrix.data, columns, matrix.indptr), shape=(matrix.shape[0], len(grid.nodes)))
-    rows.sum_duplicates()
-    return rows
-
-
-def _reaches(weights: Weights, num_inside: int) -> tuple[int, int]:
-    """Fineness of the grid (`fine_reach`, `reach`) for the distance over which the change fades.
-
-    The further it reaches, the more the squares far from the seams count. Measured on Fox at 512², whose texels
-    change by up to 0.7: no texel inside differs from the full grid's by more than 0.8/255 (local) or 1/255 (global).
-    """
-    fading_px = np.sqrt(weights.inside_gradient * GRADIENT_MASS * max(num_inside, 1) / max(weights.change, 1e-12))
-    if weights.change < 1e3 or fading_px > 14:
-        return 6, 5
-    return (4, 3) if fading_px < 6 else (4, 4)
-
-
-def plan_erasure(
-    surface: TexturedSurface,
-    seams: Seams,
-    width: int,
-    height: int,
-    options: EraseOptions = DEFAULT_OPTIONS,
-    *,
-    sample_uvs: Floats | None = None,
-) -> Eraser:
-    """Prepare erasure of textures of one size: intervals, region, grid, energies, factorisation.
-
-    Parameters
-    ----------
-    surface : TexturedSurface
-    seams : Seams
-        `find_seams(surface)`.
-    width, height : int
-        Size of the images in texels.
-    options : EraseOptions
-    sample_uvs : (N, 2) float64, optional
-        Points at which the textures' values are known.
-
-    Returns
-    -------
-    Eraser
-    """
-    joined = slice(None) if options.joined is None else options.joined
-    intervals = split_edges(surface.uvs[seams.uv_pairs[joined]], width, height, repeat=options.repeat)
-    silhouette = split_edges(silhouette_lines(surface, seams), width, height, repeat=options.repeat)
-    region = find_region(
-        surface, seams, width, height, repeat=options.repeat, silhouette=silhouette, sample_uvs=sample_uvs
-    )
-    fine_reach, reach = _reaches(options.weights, region.num_inside)
-    grid = build_grid(region, fine_reach=fine_reach, reach=reach)
-
-    lengths = seams.lengths_m[joined]
-    jump = _on_nodes(jump_rows(intervals, lengths), grid)
-    rows = {"slope": slope_rows(intervals, lengths, inward_normals(surface, seams, width, height)[joined])}
-    scale = None
-    if options.seam_value != "none":
-        rows["value"], scale = value_rows(silhouette, _silhouette_lengths(surface, seams))
-    if sample_uvs is not None:
-        rows["samples"] = sample_rows(sample_uvs, width, height)
-    rows = {name: _on_nodes(matrix, grid) for name, matrix in rows.items()}
-
-    factor = None
-    if jump.shape[0] and len(grid.nodes):
-        matrix = _assemble(grid, rows, options.weights, region.num_inside)
-        penalty = PENALTY if options.seam_weight is None else options.seam_weight
-        factor = factorise(matrix, sparse.csr_array(jump @ grid.interpolation), penalty)
-        logger.debug("erase: %d unknowns at %d x %d", matrix.shape[0], width, height)
-    return Eraser(surface, seams, options, region, grid, intervals, lengths, silhouette, jump, factor, rows, scale)
-
-
-def _assemble(grid: Grid, rows: dict[str, sparse.csr_array], weights: Weights, num_inside: int) -> sparse.csr_array:
-    """Matrix of all energies but the seam's on the free unknowns, (U, U)."""
-    matrix = grid_matrix(
-        grid,
-        weights.change / max(num_inside, 1),
-        weights.inside_gradient * GRADIENT_MASS,
-        weights.outside_gradient * GRADIENT_MASS,
-    )
-    for name, weight in (("slope", weights.slope), ("value", weights.value), ("samples", weights.samples)):
-        if name in rows:
-            matrix = matrix + weight * (rows[name].T @ rows[name])
-    return sparse.csr_array(grid.interpolation.T @ matrix @ grid.interpolation)
-
-
-def erase(
-    texels: Floats,
-    surface: TexturedSurface,
-    seams: Seams,
-    options: EraseOptions = DEFAULT_OPTIONS,
-    *,
-    sample_uvs: Floats | None = None,
-    sample_values: Floats | None = None,
-    end_values: Floats | None = None,
-) -> Erased:
-    """Erase the seams of one texture.
-
-    Parameters
-    ----------
-    texels : (H, W, C) float
-    surface : TexturedSurface
-    seams : Seams
-    options : EraseOptions
-    sample_uvs, sample_values : (N, 2) and (N, C) float64, optional
-        Points at which the texture's values are known.
-    end_values : (E, 2, C) float64, optional
-        See `Eraser.erase`.
-
-    Returns
-    -------
-    Erased
-    """
-    height, width = texels.shape[:2]
-    plan = plan_erasure(surface, seams, width, height, options, sample_uvs=sample_uvs)
-    return plan.erase(texels, sample_values=sample_values, end_values=end_values)

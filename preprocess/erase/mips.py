@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from preprocess.erase.eraser import DEFAULT_OPTIONS, EraseOptions, Eraser, plan_erasure
+from preprocess.erase.eraser import Eraser
+from preprocess.erase.options import DEFAULT_OPTIONS, EraseOptions
+from preprocess.erase.plan import plan_erasure
 from preprocess.erase.quantise import quantise
 from preprocess.erase.strip import SeamMeasure
 from preprocess.mesh import Floats, TexturedSurface

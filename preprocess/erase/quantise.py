@@ -33,6 +33,7 @@ STAY = 0.005
 # Peak weights grow by this factor a round, for at most so many rounds; the best round counts.
 GROWTH = 1.5
 MAX_ROUNDS = 24
+MANY_STEPS = 8.0
 MAX_VISITS = 60  # a texel; 8-bit searches end after about ten
 
 
@@ -151,8 +152,8 @@ def round_strip(values: Floats, strip: SeamStrip, levels: int) -> Floats:
     settings = (TOLERATED, STAY, LIMIT, GROWTH, MAX_ROUNDS)
     result = rounded.copy()
     for channel in range(len(wanted)):
-        if levels > 255 and np.abs(rows @ wanted[channel]).max(initial=0.0) > 1.0:
-            continue  # the solution itself jumps by more than a step (a finite seam weight): rounding adds nothing
+        if levels > 255 and np.abs(rows @ wanted[channel]).max(initial=0.0) > MANY_STEPS:
+            continue  # the solution itself jumps by many steps (a finite seam weight): rounding adds nothing
         _search(
             rows.indptr, rows.indices, columns.indptr, columns.indices, columns.data,
             strip.weights, wanted[channel], rounded[channel], rows @ rounded[channel], np.full(num_points, PEAK),
