@@ -14,7 +14,7 @@ import numpy as np
 from runtime.actor import Actor
 from runtime.camera import Camera
 from runtime.gpu_asset import TEXTURE_UNITS, Model
-from runtime.programs import assemble
+from runtime.programs import assemble, set_uniforms
 from runtime.renderer import Renderer
 
 MIN_VERSION_CODE = 430
@@ -46,12 +46,9 @@ def capture_program(ctx: moderngl.Context, defines: Mapping[str, str | int]) -> 
         tess_evaluation_shader=texts["patch.tese"],
         fragment_shader=texts["depth.frag"],
     )
-    bindings: dict[str, int] = {"Points": STORAGE_BINDING, "Frame": 0}
-    for name, binding in bindings.items():
-        program[name].binding = binding  # type: ignore[union-attr]
-    for name, unit in TEXTURE_UNITS.items():
-        if name in program:
-            program[name].value = unit  # type: ignore[union-attr]
+    program.extra = {name: program[name] for name in program}
+    program.extra["Points"].binding, program.extra["Frame"].binding = STORAGE_BINDING, 0
+    set_uniforms(program, TEXTURE_UNITS)
     return program
 
 

@@ -186,10 +186,19 @@ def build_program(
         program = ctx.program(**texts)
     except Exception as error:  # moderngl raises its bare Error for every failure here
         raise RenderError(_explain_failure(str(error), sources)) from None
+    program.extra = {name: program[name] for name in program}
     for block, binding in UNIFORM_BLOCKS.items():
-        if block in program:
-            program[block].binding = binding  # type: ignore[union-attr]
+        if block in program.extra:
+            program.extra[block].binding = binding
     return program
+
+
+def set_uniforms(program: moderngl.Program, values: Mapping[str, Any]) -> None:
+    """Set those of the named uniforms that the program has. It must come from `build_program`."""
+    members = program.extra
+    for name, value in values.items():
+        if name in members:
+            members[name].value = value
 
 
 def _explain_failure(message: str, sources: Mapping[str, ShaderSource]) -> str:
