@@ -35,32 +35,52 @@ from runtime.renderer import Renderer
 CLOSE_REL = 0.055  # half height of a close-up, of the bounding diagonal
 
 
-def worst_seams(asset: Asset, before: Asset, count: int) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Places on the skin where the two sides of a seam differ most in tone: points and normals at rest.
+Place = tuple[NDArray[np.float64], NDArray[np.float64]]  # a point of the skin at rest, and its unit normal
 
-    Places lie at least two close-ups apart and show the seam from outside.
-    """
+
+def _seam_vertices(asset: Asset) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
+    """Vertices of the finest level that do not own their surface point, their points and unit normals at rest."""
     mesh = asset.lods[0]
-    uvs, owners = mesh.uvs, mesh.owner_uvs
-    split = np.flatnonzero((uvs != owners).any(axis=1))
+    split = np.flatnonzero((mesh.uvs != mesh.owner_uvs).any(axis=1))
+    points = _sample(asset.textures["position"].levels[0].astype(np.float64), mesh.owner_uvs[split])
+    stored = asset.textures["normal"].levels[0]
+    plain = stored.astype(np.float64) / 65535.0 * 2.0 - 1.0 if stored.dtype == np.uint16 else stored.astype(np.float64)
+    normals = _sample(plain, mesh.owner_uvs[split])
+    return split, points, normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+
+
+def nearest_seam(asset: Asset, point: tuple[float, float, float]) -> Place:
+    """The place on a seam that is nearest to a point at rest.
+
+    Raises
+    ------
+    DemoError
+        If the character has no seams.
+    """
+    split, points, normals = _seam_vertices(asset)
+    if not len(split):
+        raise DemoError(f"{asset.name} has no seams")
+    index = int(np.linalg.norm(points - np.array(point), axis=1).argmin())
+    return points[index], normals[index]
+
+
+def worst_seams(asset: Asset, before: Asset, count: int) -> list[Place]:
+    """Places on the skin where the two sides of a seam differ most in tone, some close-ups apart from each other."""
+    split, points, normals = _seam_vertices(asset)
     if not len(split):
         return []
-    level = before.textures["base_color"].levels[min(3, len(before.textures["base_color"].levels) - 1)]
+    mesh, levels = asset.lods[0], before.textures["base_color"].levels
+    level = levels[min(3, len(levels) - 1)]
     tone = level[..., :3].sum(axis=2, keepdims=True) / 765.0 + 0.02  # of a few texels: not their pattern
-    jump = np.log(_sample(tone, uvs[split]) / _sample(tone, owners[split]))[:, 0]
-    points = _sample(asset.textures["position"].levels[0].astype(np.float64), owners[split])
+    jump = np.log(_sample(tone, mesh.uvs[split]) / _sample(tone, mesh.owner_uvs[split]))[:, 0]
     diagonal = float(np.linalg.norm(np.ptp(asset.manifest.bind_bounds, axis=0)))
     # A step that goes the same way all along a stretch of seam is what an eye sees; a pattern that is off is not.
     around = cKDTree(points).query_ball_point(points, 0.5 * CLOSE_REL * diagonal)
     step = np.array([abs(jump[near].mean()) - 0.5 * jump[near].std() for near in around])
-    normal = asset.textures["normal"].levels[0]
-    flat = normal.astype(np.float64) / (65535.0 if normal.dtype == np.uint16 else 1.0) * 2.0 - 1.0
-    towards = _sample(flat, owners[split])
-    apart = 4.0 * CLOSE_REL * diagonal
-    places: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
+    places: list[Place] = []
     for index in np.argsort(-step, kind="stable"):
-        if all(np.linalg.norm(points[index] - point) > apart for point, _ in places):
-            places.append((points[index], towards[index] / max(float(np.linalg.norm(towards[index])), 1e-9)))
+        if all(np.linalg.norm(points[index] - point) > 4.0 * CLOSE_REL * diagonal for point, _ in places):
+            places.append((points[index], normals[index]))
         if len(places) == count:
             break
     return places
