@@ -61,13 +61,13 @@ def _filtered(image: NDArray[np.float64], rows: int, columns: int, roughness: fl
     """What a surface of this roughness mirrors, by direction: GGX around it, seen head on, weighted by the cosine."""
     directions, _ = _directions(rows, columns)
     lights, solid_angle = _directions(*image.shape[:2])
-    cosine = directions.reshape(-1, 3) @ lights.reshape(-1, 3).T
-    n_dot_h_sq = (1.0 + cosine) / 2  # view = normal
-    alpha_sq = roughness**4
-    lobe = 1.0 / (n_dot_h_sq * (alpha_sq - 1.0) + 1.0) ** 2 * np.maximum(cosine, 0.0)
-    lobe *= np.repeat(solid_angle, image.shape[1])
-    lobe /= lobe.sum(axis=1, keepdims=True)
-    return (lobe @ image.reshape(-1, 3)).reshape(rows, columns, 3)
+    cosine = directions.reshape(-1, 3).astype(np.float32) @ lights.reshape(-1, 3).T.astype(np.float32)
+    n_dot_h_sq = (1 + cosine) / 2  # view = normal
+    alpha_sq = np.float32(roughness**4)
+    lobe = np.maximum(cosine, 0) / np.square(n_dot_h_sq * (alpha_sq - 1) + 1)
+    lobe *= np.repeat(solid_angle, image.shape[1]).astype(np.float32)
+    filtered = (lobe @ image.reshape(-1, 3).astype(np.float32)) / lobe.sum(axis=1, keepdims=True)
+    return filtered.reshape(rows, columns, 3).astype(np.float64)
 
 
 @dataclass(frozen=True)
