@@ -467,3 +467,28 @@ def test_borders_between_groups_stay() -> None:
         for group in range(2):
             assert now[groups[lod.face_source] == group].sum() == pytest.approx(full[groups == group].sum(), rel=1e-9)
     assert decimate(surface, EXACT, face_groups=groups).lods[-1].num_faces == 4
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_triangle_soup_does_no_harm(seed: int) -> None:
+    """Random faces on few vertices and uvs: repeated, non-manifold, flat, overlapping. What comes out is manifold."""
+    rng = np.random.default_rng(seed)
+    num_vertices, num_faces, num_uvs = (int(rng.integers(low, high)) for low, high in ((3, 14), (1, 40), (1, 30)))
+    positions, uvs = rng.normal(size=(num_vertices, 3)), rng.random((num_uvs, 2))
+    if seed % 3 == 0:
+        positions, uvs = np.round(positions), np.round(3 * uvs) / 3
+    faces = rng.integers(0, num_vertices, (num_faces, 3)).astype(np.int32)
+    face_uvs = rng.integers(0, num_uvs, (num_faces, 3)).astype(np.int32)
+    if seed % 4 == 0 and num_uvs >= num_vertices:
+        face_uvs = faces.copy()
+    soup = TexturedSurface(positions, faces, uvs, face_uvs)
+    options = DecimateOptions(min_faces=1, strict=list(Strictness)[seed % 3])
+    try:
+        chain = decimate(soup, options)
+    except InputError as refusal:
+        assert "uses a vertex twice" in str(refusal)
+        return
+    for lod in chain.lods:
+        lod.surface.validate()
+        again = decimate_to(lod.surface, lod.num_faces)
+        assert again.repairs.split_edges == again.repairs.split_vertices == again.repairs.duplicate_faces == 0

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from preprocess.decimate.heap import heap_remove, heap_set
-from preprocess.decimate.jit import entry, helper
+from preprocess.decimate.jit import SOURCES, entry, helper
 from preprocess.decimate.placement import best_cost, joint_line, pose_position, propose
 from preprocess.decimate.quadrics import add_rows
 from preprocess.decimate.rules import (
@@ -29,6 +30,7 @@ from preprocess.decimate.rules import (
     RETRY,
     SEAM_TOLERANCE,
     SILHOUETTES,
+    VERSION,
     corner_deviation,
     is_silhouette,
     orient,
@@ -243,38 +245,47 @@ def _census(m, counts):
         counts[rule] += 1
 
 
-@entry
-def run(m, target, max_cost, counts):
-    """Collapse the cheapest edges until `target` faces are left, the next costs too much, or none is legal.
+def _make_run(sources: int) -> Any:
+    """The entry for one version of the kernels' sources (see jit.py)."""
 
-    An edge whose cheapest placement folds the mesh goes back into the heap at the cost of the cheapest sound one; one
-    with none waits until a collapse nearby.
+    @entry
+    def run(m, target, max_cost, counts):
+        """Collapse the cheapest edges until `target` faces are left, the next costs too much, or none is legal.
 
-    Parameters
-    ----------
-    m : rules.Mesh
-    target : int
-    max_cost : float
-    counts : (8,) int64, or (0,) not to count
-        Gets the number of edges that are left by rule (index: rules.ALLOWED and after).
-    """
-    if m.counter[PRICED] == 0:
-        m.counter[PRICED] = 1
-        for h in range(len(m.links)):
-            if m.links[h, TAIL] >= 0 and h < m.links[h, TWIN]:
-                price(m, h)
-    while m.counter[FACES_LEFT] > target and m.counter[HEAP_SIZE] > 0 and m.heap_cost[0] <= max_cost:
-        item = m.heap_item[0]
-        heap_remove(m.heap_cost, m.heap_item, m.links, m.counter, item)
-        rule, h, free_ends = orient(m, item)
-        if rule != ALLOWED:
-            continue
-        best = attempt(m, h, free_ends)
-        if best < 0:
-            block(m, item)
-        elif m.counter[HEAP_SIZE] > 0 and m.work[best, 0] > m.heap_cost[0]:
-            heap_set(m.heap_cost, m.heap_item, m.links, m.counter, item, m.work[best, 0])
-        else:
-            collapse(m, h, m.work[best], free_ends)
-    if len(counts) > 0:
-        _census(m, counts)
+        An edge whose cheapest placement folds the mesh goes back into the heap at the cost of the cheapest sound one;
+        one with none waits until a collapse nearby.
+
+        Parameters
+        ----------
+        m : rules.Mesh
+        target : int
+        max_cost : float
+        counts : (8,) int64, or (0,) not to count
+            Gets the number of edges that are left by rule (index: rules.ALLOWED and after).
+        """
+        m.counter[VERSION] = sources
+        if m.counter[PRICED] == 0:
+            m.counter[PRICED] = 1
+            for h in range(len(m.links)):
+                if m.links[h, TAIL] >= 0 and h < m.links[h, TWIN]:
+                    price(m, h)
+        while m.counter[FACES_LEFT] > target and m.counter[HEAP_SIZE] > 0 and m.heap_cost[0] <= max_cost:
+            item = m.heap_item[0]
+            heap_remove(m.heap_cost, m.heap_item, m.links, m.counter, item)
+            rule, h, free_ends = orient(m, item)
+            if rule != ALLOWED:
+                continue
+            best = attempt(m, h, free_ends)
+            if best < 0:
+                block(m, item)
+            elif m.counter[HEAP_SIZE] > 0 and m.work[best, 0] > m.heap_cost[0]:
+                heap_set(m.heap_cost, m.heap_item, m.links, m.counter, item, m.work[best, 0])
+            else:
+                collapse(m, h, m.work[best], free_ends)
+        if len(counts) > 0:
+            _census(m, counts)
+
+    return run
+
+
+run = _make_run(SOURCES)

@@ -176,8 +176,8 @@ def _propose_free(m, h, full):
         u, v = m.work[SYSTEM_ROW + 3, 5] / scale, m.work[SYSTEM_ROW + 4, 5] / scale
         n = _add_free(m, n, h, x, y, z, u, v, u, v)
     if full or n == 0 or m.texture.shape[0] > 0:
-        for step in range(3):
-            f = 0.5 * step
+        for step in range(5):
+            f = 0.25 * step
             x, y, z = (
                 _blend(m.xyz[a, 0], m.xyz[b, 0], f),
                 _blend(m.xyz[a, 1], m.xyz[b, 1], f),

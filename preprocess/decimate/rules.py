@@ -106,7 +106,7 @@ class Mesh(NamedTuple):
 
 # Slots of Mesh.settings and Mesh.counter.
 UV_SCALE, SEAM_TOLERANCE, STRICT, MIN_NORMAL_DOT, MIN_UV_HEIGHT, MIN_SHAPE = 0, 1, 2, 3, 4, 5
-FACES_LEFT, STAMP, COLLAPSES, HEAP_SIZE, PRICED = 0, 1, 2, 3, 4
+FACES_LEFT, STAMP, COLLAPSES, HEAP_SIZE, PRICED, VERSION = 0, 1, 2, 3, 4, 5
 
 
 @helper
