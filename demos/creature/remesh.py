@@ -267,7 +267,9 @@ def smooth_seams(
     for _ in range(rounds):
         points = relax(field, points, faces, fixed, seams, 3)
         faces = _flip_round(points, faces, seams)
+    middle = points[:, 0] == 0.0
     points = field.project(points)
+    points[middle, 0] = 0.0
     for _ in range(8):  # around a face that was pressed flat or turned over, the line gives way
         bent = _bent_faces(field, points, faces)
         if not bent.any():
