@@ -1,9 +1,9 @@
 """Drawing from textures beside ordinary vertex-attribute skinning: the same triangles, shading, context and run.
 
 Three questions: what a frame costs at equal triangles, for each way to store joint weights; what levels of detail save
-for characters 200 pixels tall, several in one picture, which is cleared once; and how many bytes it all takes. Every time is the median over rounds in which the
-candidates take turns. CPU time counts all threads of the process: with software OpenGL it is the work itself, whatever
-else the machine does.
+for characters 200 pixels tall, several in one picture, which is cleared once; and how many bytes it all takes. Every
+time is the median over rounds in which the candidates take turns. CPU time counts all threads of the process: with
+software OpenGL it is the work itself, whatever else the machine does.
 
 Options: --built DIR (a built character), --rounds N, --size WxH.
 """

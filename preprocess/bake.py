@@ -50,8 +50,16 @@ def bake_positions(mesh: SkinnedMesh, size: tuple[int, int]) -> Floats:
     return fit_vertices(texels, surface.uvs, vertex_values(mesh, surface.positions))
 
 
-def bake_weights(mesh: SkinnedMesh, num_joints: int, size: tuple[int, int]) -> Floats:
+def bake_weights(mesh: SkinnedMesh, num_joints: int, size: tuple[int, int], projections: int = PROJECTIONS) -> Floats:
     """Joint weights, non-negative and summing to one in every texel.
+
+    Parameters
+    ----------
+    mesh : SkinnedMesh
+    num_joints : int
+    size : (width, height)
+    projections : int
+        Alternations between the vertices' own weights and partitions of unity.
 
     Returns
     -------
@@ -59,10 +67,12 @@ def bake_weights(mesh: SkinnedMesh, num_joints: int, size: tuple[int, int]) -> F
     """
     surface = mesh.surface
     dense = mesh.dense_weights(num_joints)
+    used = np.flatnonzero(dense.max(axis=0) > 0)
+    dense = dense[:, used]
     coverage = cover_atlas(mesh, *size)
     near = coverage.faces >= 0
     height, width = coverage.shape
-    texels = np.zeros((height, width, num_joints))
+    texels = np.zeros((height, width, len(used)))
     barycentrics = np.clip(coverage.barycentrics[near].astype(np.float64), 0.0, None)
     barycentrics /= barycentrics.sum(axis=1, keepdims=True)
     corners = surface.faces[coverage.faces[near]]
@@ -70,10 +80,12 @@ def bake_weights(mesh: SkinnedMesh, num_joints: int, size: tuple[int, int]) -> F
     texels = fill_outside(texels, near)
     values = vertex_values(mesh, dense)
     fit = plan_fit(surface.uvs, width, height)
-    for _ in range(PROJECTIONS):  # onto the vertices' values, then onto partitions of unity
+    for _ in range(projections):  # onto the vertices' values, then onto partitions of unity
         texels = np.clip(fit(texels, values), 0.0, None)
         texels /= texels.sum(axis=2, keepdims=True)
-    return texels
+    result = np.zeros((height, width, num_joints))
+    result[..., used] = texels
+    return result
 
 
 def vertex_values(mesh: SkinnedMesh, values: NDArray[np.floating]) -> Floats:

@@ -11,5 +11,5 @@ FIRST_RUN = "first run: compiling kernels, up to half a minute, once"
 
 def are_compiled() -> bool:
     """Whether numba's cache on disk holds the kernels already, judged by the one that every build needs first."""
-    folder = Path(_rasterise._cache.cache_path)
+    folder = Path(vars(_rasterise)["_cache"].cache_path)
     return any(folder.glob("raster._rasterise-*.nbc"))

@@ -6,6 +6,7 @@ import ctypes
 import ctypes.util
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -65,16 +66,33 @@ def asset_path() -> Any:
 
 
 @pytest.fixture(scope="session")
-def built(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """Function from a file name in ../shared/assets to its built folder: made by the command line, once a session."""
-    folder = tmp_path_factory.mktemp("built")
+def built(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Callable[[str], Path]:
+    """Function from a file name in ../shared/assets to its built folder.
+
+    The command line makes each once a session; parallel workers share them and wait for one another.
+    """
+    folder = tmp_path_factory.getbasetemp()
+    folder = (folder if worker_id == "master" else folder.parent) / "built"
+    folder.mkdir(exist_ok=True)
 
     def build(name: str) -> Path:
-        destination = folder / f"{Path(name).stem}.seamless"
-        if not destination.exists():
-            command = [sys.executable, "-m", "preprocess", str(asset(name)), "-o", str(destination), "--report"]
+        source = asset(name)
+        destination = folder / f"{source.stem}.seamless"
+        taken = folder / f"{source.stem}.taken"
+        try:
+            taken.touch(exist_ok=False)
+        except FileExistsError:
+            deadline = time.monotonic() + 600
+            while not destination.exists() and not (folder / f"{source.stem}.failed").exists():
+                assert time.monotonic() < deadline, f"{name} is still being built"
+                time.sleep(0.2)
+        else:
+            command = [sys.executable, "-m", "preprocess", str(source), "-o", str(destination), "--report"]
             done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-            assert done.returncode == 0, done.stderr
+            if done.returncode:
+                (folder / f"{source.stem}.failed").write_text(done.stderr)
+        failed = folder / f"{source.stem}.failed"
+        assert not failed.exists(), failed.read_text()
         return destination
 
     return build

@@ -44,7 +44,14 @@ def draw_built(
     """The viewer's own picture, (H, W, 4) in [0, 1]."""
     command = [sys.executable, "-m", "demos.viewer", str(folder), "--headless", "--out", str(out)]
     command += ["--size", f"{SIZE[0]}x{SIZE[1]}", "--view", "base_color", "--lod", "0", "--tessellation", "off"]
-    command += ["--eye", *(f"{x:.9f}" for x in eye), "--target", *(f"{x:.9f}" for x in target), "--fovy", repr(FOVY_DEG)]
+    command += [
+        "--eye",
+        *(f"{x:.9f}" for x in eye),
+        "--target",
+        *(f"{x:.9f}" for x in target),
+        "--fovy",
+        repr(FOVY_DEG),
+    ]
     if clip is not None:
         command += ["--clip", str(clip), "--time", repr(time)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)

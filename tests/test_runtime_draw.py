@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -336,6 +339,40 @@ def test_the_state_is_left_as_found(ctx: moderngl.Context, ball: Asset) -> None:
         gl.glPixelStorei(gl_state.UNPACK_ALIGNMENT, 4)
     for thing in (*textures, sampler, block, *framebuffer.color_attachments, framebuffer.depth_attachment, framebuffer):
         thing.release()
+
+
+# Old contexts
+
+OLD_CONTEXT = """
+import sys, moderngl, numpy as np
+import runtime
+asset = runtime.load(sys.argv[1])
+ctx = moderngl.create_context(standalone=True, require=310, backend="egl")
+framebuffer = ctx.simple_framebuffer((32, 32), 4)
+framebuffer.use()
+camera = runtime.framing(asset.manifest.bind_bounds)
+try:
+    model, renderer = runtime.Model(ctx, asset), runtime.Renderer(ctx)
+    for view in ("lit", "weights", "wireframe", "seams"):
+        renderer.draw([model.actor(clip="bend")], camera, view=view)
+        print(ctx.version_code, view, len(set(framebuffer.read())) > 5)
+    renderer.draw([model.actor()], camera, tessellation=2.0)
+except runtime.RenderError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize(("version", "lines"), [("3.3", 5), ("3.1", 1)])
+def test_old_contexts_draw_or_say_what_they_lack(ball: Asset, version: str, lines: int) -> None:
+    """Mesa can pretend to be older than it is."""
+    environment = {**os.environ, "MESA_GL_VERSION_OVERRIDE": version, "MESA_GLSL_VERSION_OVERRIDE": "330"}
+    command = [sys.executable, "-c", OLD_CONTEXT, str(ball.path)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    printed = done.stdout.splitlines()
+    if printed and version == "3.3" and not printed[0].startswith("330"):
+        pytest.skip("this driver cannot pretend to be older")
+    assert len(printed) == lines and all(line.endswith("True") for line in printed[:-1])
+    assert "4.1" in printed[-1]
 
 
 # Misuse
