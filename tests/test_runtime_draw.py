@@ -354,6 +354,7 @@ camera = runtime.framing(asset.manifest.bind_bounds)
 try:
     model, renderer = runtime.Model(ctx, asset), runtime.Renderer(ctx)
     for view in ("lit", "weights", "wireframe", "seams"):
+        framebuffer.clear(depth=1.0)
         renderer.draw([model.actor(clip="bend")], camera, view=view)
         print(ctx.version_code, view, len(set(framebuffer.read())) > 5)
     renderer.draw([model.actor()], camera, tessellation=2.0)
