@@ -21,6 +21,8 @@ from preprocess.texels import bilinear_stencil
 
 log = logging.getLogger(__name__)
 
+SWING, SWING_REACH_PX = 0.003, 3  # how far out of range erased weights are given up, and how far around
+SETTLING = 6  # alternations after that
 PROJECTIONS = 4  # alternations that keep weights non-negative; each halves what clipping costs at the vertices
 FIT_DAMPING = 1e-4  # relative to a stencil's own weight; vertices denser than texels then share the error
 
@@ -79,13 +81,47 @@ def bake_weights(mesh: SkinnedMesh, num_joints: int, size: tuple[int, int], proj
     texels[near] = sum(barycentrics[:, k, None] * dense[corners[:, k]] for k in range(3))
     texels = fill_outside(texels, near)
     values = vertex_values(mesh, dense)
-    fit = plan_fit(surface.uvs, width, height)
-    for _ in range(projections):  # onto the vertices' values, then onto partitions of unity
-        texels = np.clip(fit(texels, values), 0.0, None)
-        texels /= texels.sum(axis=2, keepdims=True)
+    texels = _project(texels, plan_fit(surface.uvs, width, height), values, projections)
     result = np.zeros((height, width, num_joints))
     result[..., used] = texels
     return result
+
+
+def settle_weights(erased: Floats, baked: Floats, uvs: Floats, values: Floats) -> Floats:
+    """Bring erased weights back to partitions of unity that are right at the vertices.
+
+    Where weights fall from one to nothing within a texel, a seamless solution swings out of [0, 1], and cutting it off
+    moves vertices by centimetres. There the baked texels are better: the vertices are what is drawn, shared ones are
+    owned by one side, and a jump between them beside a seam is never seen as a crack.
+
+    Parameters
+    ----------
+    erased : (H, W, C) float64
+        Seamless, not quite within [0, 1].
+    baked : (H, W, C) float64
+        Partitions of unity, right at the vertices.
+    uvs : (N, 2) float64
+    values : (N, C) float64
+        Weights at the vertices.
+
+    Returns
+    -------
+    (H, W, C) float64
+    """
+    from scipy.ndimage import binary_dilation
+
+    swings = binary_dilation(erased.min(axis=2) < -SWING, iterations=SWING_REACH_PX)
+    texels = np.clip(np.where(swings[..., None], baked, erased), 0.0, None)
+    texels /= texels.sum(axis=2, keepdims=True)
+    return _project(texels, plan_fit(uvs, texels.shape[1], texels.shape[0]), values, SETTLING)
+
+
+def _project(texels: Floats, fit: Callable[[Floats, Floats], Floats], values: Floats, times: int) -> Floats:
+    """Alternate between the vertices' values and partitions of unity."""
+    for _ in range(times):
+        texels = np.clip(fit(texels, values), 0.0, None)
+        texels /= texels.sum(axis=2, keepdims=True)
+    return texels
 
 
 def vertex_values(mesh: SkinnedMesh, values: NDArray[np.floating]) -> Floats:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.atlas import Atlas
-from preprocess.bake import bake_positions, bake_weights, cover_atlas, vertex_values
+from preprocess.bake import bake_positions, bake_weights, cover_atlas, settle_weights, vertex_values
 from preprocess.erase import (
     GLOBAL,
     LOCAL,
@@ -24,7 +24,6 @@ from preprocess.erase import (
     erase_mips,
     measure_seams,
     plan_erasure,
-    quantise_weights,
 )
 from preprocess.erase.faults import Decision, choose_color_seams, choose_normal_seams, draw_decision
 from preprocess.gltf import Character
@@ -150,7 +149,8 @@ class TextureStage:
         erased = np.zeros_like(baked)
         eraser = self._geometry_eraser(size, WEIGHT_OPTIONS)
         erased[..., used] = eraser.erase(baked[..., used], sample_values=values).texels
-        packed = pack_weights(quantise_weights(erased, eraser.strip) / 255.0)
+        erased[..., used] = settle_weights(erased[..., used], baked[..., used], self.mesh.surface.uvs, values)
+        packed = pack_weights(erased)
         stored = unpack_weights(packed.stack, size, num_joints)
         seam = self._seam(baked, erased, stored)
         extra = {"layout": "texel-joints", "slots": packed.slots}
