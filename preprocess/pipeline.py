@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from preprocess.atlas import Atlas, build_atlas
-from preprocess.decimate import DecimateOptions, Lod, decimate
+from preprocess.decimate import Chain, DecimateOptions, decimate
 from preprocess.folder import MANIFEST, whole_folder
 from preprocess.gltf import Character, load_character
-from preprocess.mesh import Floats
+from preprocess.mesh import Floats, Ints
 from preprocess.progress import Progress
 from preprocess.report import write_report
 from preprocess.settings import Settings, floor_faces
@@ -79,11 +79,11 @@ def build(model: Path, destination: Path, settings: Settings, progress: Progress
             textures = baking.build()
             stage.delta = ", ".join(f"{t.name} {t.size[0]}×{t.size[1]}" for t in textures)
         with progress.stage("levels") as stage:
-            lods, notes = _build_lods(atlas, textures, poses, settings)
-            stage.delta = " → ".join(str(lod.num_faces) for lod in lods)
-        warnings = (*character.warnings, *atlas.warnings, *notes)
+            chain = _build_lods(character, atlas, textures, poses, settings)
+            stage.delta = " → ".join(str(lod.num_faces) for lod in chain.lods)
+        warnings = (*character.warnings, *atlas.warnings, *chain.repairs.warnings(), *chain.warnings)
         with progress.stage("write"):
-            rows = write_folder(folder, character, atlas, textures, lods, settings, warnings, progress.seconds)
+            rows = write_folder(folder, character, atlas, textures, chain, settings, warnings, progress.seconds)
             if settings.report:
                 manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
                 write_report(folder / "report.html", manifest, atlas.mesh.surface, baking.draw_decisions())
@@ -115,10 +115,18 @@ def sample_poses(character: Character) -> Floats:
     return np.concatenate(poses)
 
 
+def draw_groups(character: Character, face_materials: Ints) -> Ints | None:
+    """Faces that need different GL state (alpha, sidedness, lighting), numbered, (F,) int32; None if all are alike."""
+    states = [(m.alpha_mode, m.alpha_cutoff, m.double_sided, m.unlit) for m in character.materials]
+    numbers = {state: number for number, state in enumerate(dict.fromkeys(states))}
+    groups = np.array([numbers[state] for state in states], np.int32)[face_materials]
+    return None if (groups == groups[:1]).all() else groups
+
+
 def _build_lods(
-    atlas: Atlas, textures: list[StoredTexture], poses: Floats, settings: Settings
-) -> tuple[tuple[Lod, ...], tuple[str, ...]]:
-    """The chain of levels, and what there is to say about it."""
+    character: Character, atlas: Atlas, textures: list[StoredTexture], poses: Floats, settings: Settings
+) -> Chain:
+    """The chain of levels, costed and measured in the sampled poses."""
     mesh = atlas.mesh
     position = next(t for t in textures if t.name == "position")
     dense = mesh.dense_weights(poses.shape[1])
@@ -128,5 +136,10 @@ def _build_lods(
         relaxed_px=0.0 if settings.exact else DecimateOptions().relaxed_px,
         texture_px=max(max(t.size) for t in textures),
     )
-    chain = decimate(mesh.surface, options, position_texture=position.levels[0].astype(np.float64), poses=blended)
-    return chain.lods, (*chain.repairs.warnings(), *chain.warnings)
+    return decimate(
+        mesh.surface,
+        options,
+        position_texture=position.levels[0].astype(np.float64),
+        poses=blended,
+        face_groups=draw_groups(character, mesh.face_materials),
+    )

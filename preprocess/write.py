@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from preprocess.atlas import Atlas
-from preprocess.decimate import Lod
+from preprocess.decimate import Chain, Lod
 from preprocess.folder import MANIFEST
 from preprocess.gltf import Character
 from preprocess.gltf.model_glb import write_model_glb
@@ -59,7 +59,7 @@ def write_folder(
     character: Character,
     atlas: Atlas,
     textures: Sequence[StoredTexture],
-    lods: Sequence[Lod],
+    chain: Chain,
     settings: Settings,
     warnings: Sequence[str],
     timings: Mapping[str, float],
@@ -71,6 +71,7 @@ def write_folder(
     tuple of LodRow
         As in the manifest, finest first.
     """
+    lods = chain.lods
     rows = tuple(_row(f"{character.name}_LOD{i}", lod) for i, lod in enumerate(lods))
     entries = {texture.name: _write_texture(folder, texture) for texture in textures}
     write_model_glb(folder / MODEL, character, atlas.mesh, lods, entries, influences=settings.influences)
@@ -88,6 +89,7 @@ def write_folder(
             "mode": atlas.mode,
             "charts": atlas.num_charts,
             "overlap": atlas.overlap,
+            "exact_floor_faces": chain.floor_faces if chain.floor_faces >= 0 else None,
             "straightened": atlas.straightened,
             "stretch_l2": atlas.stretch_l2,
             "stretch_linf": atlas.stretch_linf,

@@ -31,6 +31,7 @@ def asset(name: str) -> Path:
 def live_gl_objects() -> dict[str, set[int]]:
     """Names of all live objects of the current context, by kind, asked of the driver itself."""
     library = ctypes.CDLL(ctypes.util.find_library("GL") or "libGL.so.1")
+    library.glUseProgram(0)  # a released program lives on while it is the current one
     return {
         kind: {name for name in range(1, HIGHEST_NAME) if getattr(library, f"glIs{kind}")(ctypes.c_uint(name))}
         for kind in KINDS
