@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from preprocess.atlas.overlap import find_overlap
 from preprocess.erase import measure_seams
@@ -69,9 +70,12 @@ def measure_asset(asset: Asset) -> Iterator[tuple[str, str, bool]]:
     overlap = found.num_pairs + found.num_flat
     yield "overlapping faces", str(overlap), overlap <= manifest["atlas"]["overlap"]
     for name, entry in manifest["textures"].items():
+        joined = None
         for level, texels in enumerate(_levels(asset, name)):
             claim = entry["seam"]["stored"][level]
-            rms, largest = _jump(texels, finest, seams, entry["seam"].get("left", 0))
+            if level == 0:
+                joined = _joined(texels, finest, seams, entry["seam"].get("left", 0))
+            rms, largest = _jump(texels, finest, seams, joined)
             holds = rms <= SLACK_REL * claim["rms"] + SLACK_ABS and largest <= SLACK_REL * claim["max"] + SLACK_ABS
             yield f"{name} level {level}", f"jump rms {rms:.3g} max {largest:.3g}", holds
     edges = _open_edges(finest)
@@ -110,13 +114,20 @@ def _levels(asset: Asset, name: str) -> Iterator[Floats]:
             yield texels.astype(np.float64)
 
 
-def _jump(texels: Floats, surface: TexturedSurface, seams: Seams, left: int) -> tuple[float, float]:
-    """Jump rms and max over all seams but the `left` worst, which were left on purpose."""
-    joined = None
-    if left:
-        per_seam = measure_seams(texels, surface, seams).seam_rms.max(axis=1)
-        joined = np.ones(len(per_seam), bool)
-        joined[np.argsort(per_seam)[-left:]] = False
+def _joined(texels: Floats, surface: TexturedSurface, seams: Seams, left: int) -> NDArray[np.bool_] | None:
+    """All seams but the `left` worst of the finest level: those were left on purpose. (S,) bool, or None for all."""
+    if not left:
+        return None
+    per_seam = measure_seams(texels, surface, seams).seam_rms.max(axis=1)
+    joined = np.ones(len(per_seam), bool)
+    joined[np.argsort(per_seam)[-left:]] = False
+    return joined
+
+
+def _jump(
+    texels: Floats, surface: TexturedSurface, seams: Seams, joined: NDArray[np.bool_] | None
+) -> tuple[float, float]:
+    """Jump rms and max over the joined seams."""
     result = measure_seams(texels, surface, seams, joined=joined)
     return float(np.sqrt(result.total.sum())), float(result.max.max(initial=0.0))
 
