@@ -27,8 +27,8 @@ log = logging.getLogger(__name__)
 MIN_SAVING_REL = 0.2
 # The run may stop this far above the floor that the charts' corners set.
 NEAR_FLOOR_REL = 1.5
-# No relaxed level after one whose error is this share of the bounding diagonal: the character is a few pixels by then.
-MAX_ERROR_REL = 0.25
+# No relaxed level whose error is this share of the longest extent: where it were used, the character is two pixels.
+MAX_ERROR_REL = 0.5
 # Allowances tried for a relaxed level, as multiples of what the level before would be allowed.
 RELAXED_GROWTHS = (1.5, 2.25, 3.4)
 
@@ -184,34 +184,38 @@ def _relaxed_levels(
     """Levels below the exact floor, each with seams that stray by less than can be seen where it is used.
 
     A level is used where its error is about a pixel, and the mip level there has texels of about a pixel, so half a
-    texel of that mip is half of the error, as a length on the surface. How large the error will be is not known
-    before, so a few allowances are tried, from that of the level before (a lower bound) upwards: the first that
-    reaches the target, else the largest, if what was used of it fits the error that came of it; else the least.
+    texel of that mip is half of the error, as a length on the surface. A few allowances are tried, from that of the
+    level before upwards. Where the seams stray further, or a larger part went, than the measured distance to the full
+    mesh allows, the level's error says so instead: it is used from as much further away. The attempt with the least
+    error times faces is taken, so half the faces may cost twice the error.
     """
     lods: list[Lod] = []
     last, dropped = finest, 0
-    diagonal_m = reference.surface.diagonal_m
+    largest_m = MAX_ERROR_REL * float(np.ptp(reference.surface.positions, axis=0).max())
     for target in targets:
-        if last.error_m > MAX_ERROR_REL * diagonal_m:
-            break
-        attempts = [
-            _relaxed_attempt(engine, growth * last.error_m, target, options) for growth in (1.0, *RELAXED_GROWTHS)
-        ]
-        attempts = [tried for tried in attempts if tried.num_faces <= (1 - MIN_SAVING_REL) * last.num_faces]
-        reaching = [tried for tried in attempts if tried.num_faces <= target]
-        for tried in (*(reaching[:1] or attempts[-1:]), *attempts[:1]):
-            lod = _measured(reference, tried.engine.snapshot(), last.error_m)
+        best, best_lod = None, last
+        for growth in (1.0, *RELAXED_GROWTHS):
+            tried = _relaxed_attempt(engine, growth * last.error_m, target, options)
             strayed_uv = tried.engine.deviation_uv
-            if strayed_uv * engine.metres_per_uv <= options.relaxed_px * lod.error_m and tried.size_m <= lod.error_m:
-                engine, dropped = tried.engine, dropped + tried.num_dropped
-                last = replace(
-                    lod,
-                    exact=strayed_uv <= options.seam_tolerance_uv and not dropped,
-                    uv_bound_px=strayed_uv * options.texture_px,
-                    dropped_parts=dropped,
-                )
-                lods.append(last)
-                break
+            error_m = max(last.error_m, strayed_uv * engine.metres_per_uv / options.relaxed_px, tried.size_m)
+            score = best_lod.error_m * best_lod.num_faces if best else np.inf
+            wasteful = tried.num_faces > (1 - MIN_SAVING_REL) * last.num_faces or error_m * tried.num_faces >= score
+            if wasteful or error_m > largest_m:
+                continue  # without measuring it
+            lod = _measured(reference, tried.engine.snapshot(), error_m)
+            if lod.error_m <= largest_m and lod.error_m * lod.num_faces < score:
+                best, best_lod = tried, lod
+        if best is None:
+            continue
+        engine, dropped = best.engine, dropped + best.num_dropped
+        strayed_uv = engine.deviation_uv
+        last = replace(
+            best_lod,
+            exact=strayed_uv <= options.seam_tolerance_uv and not dropped,
+            uv_bound_px=strayed_uv * options.texture_px,
+            dropped_parts=dropped,
+        )
+        lods.append(last)
     return lods
 
 

@@ -77,6 +77,7 @@ class Lod:
         Where the surface vertices are drawn in bind pose, metres.
     error_m, mean_error_m : float
         Largest and mean two-sided distance to the full mesh over surface samples and poses; NaN where not measured.
+        No less than a finer level's, and at relaxed levels no less than what hides their seams: a bound to select by.
     normal_error_rad : float
         Mean angle between the normals there; NaN where not measured.
     exact : bool
