@@ -13,8 +13,8 @@ from collections.abc import Callable
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse.linalg import splu
 
+from preprocess.cholesky import factor_symmetric
 from preprocess.mesh import Floats, SkinnedMesh
 from preprocess.raster import Coverage, fill_outside, interpolate_corners, rasterise
 from preprocess.texels import bilinear_stencil
@@ -157,7 +157,7 @@ def plan_fit(uvs: Floats, width: int, height: int) -> Callable[[Floats, Floats],
     """
     stencil = stencil_matrix(uvs, width, height)
     gram = (stencil @ stencil.T + FIT_DAMPING * sp.identity(len(uvs))).tocsc()
-    factor = splu(gram, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    factor = factor_symmetric(gram)
 
     def fit(texels: Floats, values: Floats) -> Floats:
         flat = texels.reshape(-1, texels.shape[2])

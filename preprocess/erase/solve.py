@@ -12,15 +12,14 @@ until |J p|² is at rounding level (Hestenes 1969; Powell 1969). Each repetition
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse import linalg
 
+from preprocess import cholesky
+from preprocess.cholesky import factor_symmetric
 from preprocess.erase.grid import Grid
 from preprocess.mesh import Floats
 
@@ -50,7 +49,7 @@ class Factor:
 
     Attributes
     ----------
-    lu : SuperLU
+    lu : cholesky.Factor
         Of A + ρ JᵀJ.
     matrix : (U, U) sparse
         A + ρ JᵀJ, for the residual.
@@ -60,7 +59,7 @@ class Factor:
         ρ.
     """
 
-    lu: Any
+    lu: cholesky.Factor
     matrix: sparse.csc_array
     jump: sparse.csr_array
     penalty: float
@@ -135,21 +134,7 @@ def factorise(matrix: sparse.csr_array, jump: sparse.csr_array, penalty: float) 
         ρ.
     """
     full = sparse.csc_array(matrix + penalty * (jump.T @ jump))
-    return Factor(_factor(full), full, jump, penalty)
-
-
-def _factor(matrix: sparse.csc_array) -> Any:
-    """SuperLU's factorisation, told that the matrix is symmetric."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", linalg.MatrixRankWarning)
-        return linalg.splu(
-            matrix,
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            relax=4,
-            panel_size=1,
-            options={"SymmetricMode": True},
-        )
+    return Factor(factor_symmetric(full), full, jump, penalty)
 
 
 def solve_change(factor: Factor, force: Floats, jump_before: Floats, tolerance: float) -> tuple[Floats, Floats, int]:
@@ -228,7 +213,7 @@ def solve_bounded(
     """
     pull = np.zeros(len(force))
     pull[bounded] = BOUND_WEIGHT
-    lu = _factor(sparse.csc_array(factor.matrix + sparse.diags_array(pull, format="csc")))
+    lu = factor_symmetric(sparse.csc_array(factor.matrix + sparse.diags_array(pull, format="csc")))
     base = force - factor.jump.T @ (factor.penalty * jump_before)
     copy = np.clip(change[bounded], lower, upper)
     dual = np.zeros_like(copy)
