@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from runtime.asset import Asset, LodMesh, MaterialData, TextureData
 from runtime.errors import RenderError
 from runtime.gl_state import saved_state
+from runtime.patch_faults import faulty_faces, keep_flat
 from runtime.patches import build_patches, seam_edges
 from runtime.programs import TESSELLATION_VERSION_CODE, require_version
 from runtime.weight_cells import WeightCells, build_weight_cells
@@ -41,6 +42,7 @@ _DTYPES = {"uint8": "f1", "uint16": "nu2", "float16": "f2", "float32": "f4"}
 _WHITE = np.full((1, 1, 4), 255, np.uint8)
 INSTANCE = np.dtype([("rows", "<f4", (3, 4)), ("tint", "<f4", 4), ("numbers", "<i4", 2)])
 SLICE_BYTES = 1 << 20  # uploaded at a time by a model made in slices: well under a millisecond on any bus
+PATCH_TOLERANCE_REL = 1e-3  # a divided triangle may always stray so far from the flat one, of the body's diagonal
 POSITION_FORMATS = ("unorm16", "float32")
 
 
@@ -321,8 +323,18 @@ class Model:
         if level not in self._patch_buffers:
             mesh = self.lods[level].mesh
             indices = build_patches(mesh.uvs, mesh.owner_uvs, mesh.triangles)
+            if len(indices):
+                indices = self._without_faults(mesh, indices)
             self._patch_buffers[level] = self._keep(self.ctx.buffer(self._index_bytes(mesh, indices)))
         return self._patch_buffers[level]
+
+    def _without_faults(self, mesh: LodMesh, patches: NDArray[np.uint32]) -> NDArray[np.uint32]:
+        positions = np.asarray(self.asset.textures["position"].levels[0][:, :, :3], np.float32)
+        low, high = self.asset.manifest.bind_bounds
+        tolerance_m = max(mesh.error_m, PATCH_TOLERANCE_REL * float(np.linalg.norm(high - low)))
+        faulty = faulty_faces(positions, mesh.uvs, mesh.owner_uvs, patches, tolerance_m)
+        _, points = np.unique(mesh.owner_uvs, axis=0, return_inverse=True)
+        return keep_flat(patches, points.ravel(), faulty)
 
     def longest_edge_texels(self, level: int) -> float:
         """Length of a level's longest edge in texels of the position texture, along its longer axis."""

@@ -362,7 +362,7 @@ class Renderer:
         else:
             tessellated = np.ones(len(levels), bool)
         for index, actor in enumerate(batch.actors):
-            if seen[index]:
+            if seen[index] and lod == "auto":  # a level that was asked for says nothing about the next choice
                 self._levels[actor] = int(levels[index])
             self.last_drawn[actor] = DrawnActor(int(levels[index]) if seen[index] else -1, bool(tessellated[index]))
         if not seen.any():
