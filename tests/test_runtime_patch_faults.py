@@ -1,0 +1,81 @@
+"""Triangles that tessellation leaves whole: those whose inside the textures do not show."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from preprocess.texels import sample_bilinear
+from runtime.patch_faults import SEGMENTS, _fetch, _grid, distance_to_triangles, faulty_faces, keep_flat
+from runtime.patches import build_patches
+
+SIZE = 33
+
+
+def sheet() -> np.ndarray:
+    """Positions of a flat sheet over the whole atlas: x = u, y = v, z = 0. (H, W, 3)"""
+    centres = ((np.arange(SIZE) + 0.5) / SIZE).astype(np.float32)
+    u, v = np.meshgrid(centres, centres)
+    return np.stack([u, v, np.zeros_like(u)], axis=-1)
+
+
+UVS = np.array([[0.1, 0.1], [0.9, 0.1], [0.1, 0.9], [0.9, 0.9]], np.float32)
+TRIANGLES = np.array([[0, 1, 2], [2, 1, 3]], np.uint32)
+PATCHES = build_patches(UVS, UVS, TRIANGLES)
+
+
+def test_fetching_is_the_projects_bilinear_rule() -> None:
+    rng = np.random.default_rng(0)
+    texels = rng.normal(size=(7, 5, 3)).astype(np.float32)
+    uvs = rng.uniform(-0.1, 1.1, (500, 2)).astype(np.float32)
+    assert np.allclose(_fetch(texels, uvs), sample_bilinear(texels.astype(np.float64), uvs), atol=1e-5)
+
+
+def test_the_grid_covers_a_triangle_once() -> None:
+    shares, small = _grid()
+    assert len(small) == SEGMENTS**2 and np.allclose(shares.sum(axis=1), 1)
+    a, b, c = (shares[small[:, corner], 1:] for corner in range(3))
+    doubled = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    assert np.allclose(doubled, 1 / SEGMENTS**2, atol=1e-6)
+
+
+def test_distances_are_those_to_the_nearest_of_many_points() -> None:
+    rng = np.random.default_rng(1)
+    corners = rng.normal(size=(6, 3, 3)).astype(np.float32)
+    points = rng.normal(size=(6, 20, 3)).astype(np.float32)
+    many = np.einsum("sk,fki->fsi", rng.dirichlet((0.5, 0.5, 0.5), 20_000), corners)
+    slow = np.array([np.linalg.norm(p[:, None] - m[None], axis=-1).min(axis=1) for p, m in zip(points, many)])
+    found = distance_to_triangles(points, corners)
+    assert (found <= slow + 1e-5).all() and np.allclose(found, slow, atol=0.05)
+
+
+def test_a_flat_triangle_without_area_has_distances_too() -> None:
+    corners = np.array([[[0, 0, 0], [1, 0, 0], [2, 0, 0]]], np.float32)
+    points = np.array([[[1, 3, 0], [-1, 0, 0], [0.5, 0, 0]]], np.float32)
+    assert np.allclose(distance_to_triangles(points, corners), [[3, 1, 0]])
+
+
+def test_a_good_sheet_has_no_faults() -> None:
+    assert not faulty_faces(sheet(), UVS, UVS, PATCHES, 1e-4).any()
+
+
+@pytest.mark.parametrize(("where", "expected"), [((8, 8), [True, False]), ((24, 24), [False, True])])
+def test_a_spike_is_a_fault_of_the_triangle_it_is_in(where: tuple[int, int], expected: list[bool]) -> None:
+    texels = sheet()
+    texels[where[0] - 2 : where[0] + 3, where[1] - 2 : where[1] + 3, 2] = 0.3
+    assert faulty_faces(texels, UVS, UVS, PATCHES, 0.1).tolist() == expected
+
+
+def test_a_part_that_faces_backwards_is_a_fault_however_near_it_lies() -> None:
+    texels = sheet()
+    texels[6:12, 6:12, 0] = texels[6:12, 6:12, 0][:, ::-1]
+    assert faulty_faces(texels, UVS, UVS, PATCHES, 10.0)[0]
+
+
+def test_edges_of_faulty_faces_stay_whole_seen_from_both_sides() -> None:
+    kept = keep_flat(PATCHES, np.arange(4), np.array([True, False]))
+    whole = kept[:, 3::2] == kept[:, 4::2]
+    assert whole[0].all() and whole[1].sum() == 1
+    shared = next(side for side in range(3) if {TRIANGLES[1, side], TRIANGLES[1, (side + 1) % 3]} == {1, 2})
+    assert whole[1, shared]
+    assert (keep_flat(PATCHES, np.arange(4), np.zeros(2, bool)) == PATCHES).all()
