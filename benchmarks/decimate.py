@@ -1,7 +1,10 @@
 """Decimation: error and speed at equal face counts beside other decimaters, jumps at every level, the n log n curve.
 
 Other decimaters are measured where they are installed: fast-simplification (which ignores uvs) and MeshLab's textured
-decimation (pymeshlab). All times are CPU seconds of the decimation alone, without reading or writing files.
+decimation (pymeshlab). The reference decimater is run where the environment variable SEAM_DECIMATER names its program
+(its time includes reading and writing). FLIP is that of pictures against full detail, on the pixels that either covers,
+with the character's own texture; each mesh is drawn with smooth normals of its own. All other times are CPU seconds of
+the decimation alone, without reading or writing files.
 `--curve` runs from 10 thousand to 2 million faces.
 """
 
@@ -11,6 +14,9 @@ import argparse
 import functools
 import importlib
 import math
+import os
+import resource
+import subprocess
 import tempfile
 import time
 from collections.abc import Callable
@@ -20,20 +26,28 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks._mesh_pictures import MeshStudio, mean_flip
 from benchmarks._table import print_table
 from preprocess.decimate import DecimateOptions, Lod, decimate, decimate_to
+from preprocess.decimate.chain import NEAR_FLOOR_REL
+from preprocess.decimate.engine import make_engine
 from preprocess.decimate.measure import make_reference, measure
 from preprocess.erase import erase, measure_seams
+from preprocess.gltf import load_character
+from preprocess.images import read_image
 from preprocess.mesh import TexturedSurface
 from preprocess.obj import read_obj, read_surface, write_obj
 from preprocess.seams import find_seams
 from preprocess.straighten import straighten
+from preprocess.straighten.warp import find_warp
 
 ASSETS = Path(__file__).resolve().parent.parent.parent / "shared" / "assets"
 MESHES = ("human.glb", "blub.obj")
 RATIOS = (0.5, 0.25, 0.1, 0.05)
 CURVE_SIDES = (71, 158, 354, 500, 707, 1000)  # cells along a square; two faces each
 TEXTURE_PX = 256
+PICTURE_PX = 400
+FAR_PICTURE_PX = 128
 
 
 def _installed(name: str) -> ModuleType | None:
@@ -78,13 +92,29 @@ def _meshlab(module: ModuleType, surface: TexturedSurface, target: int) -> tuple
         return _as_lod(read_obj(result)), spent
 
 
+def _reference_decimater(program: str, surface: TexturedSurface, target: int) -> tuple[Lod, float]:
+    """The paper's authors' program; a collapse takes one vertex and two faces."""
+    num_vertices = len(surface.positions) - (len(surface.faces) - target) // 2
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder) / "source.obj"
+        write_obj(source, surface)
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run(
+            [program, str(source), "num-vertices", str(num_vertices)], check=True, capture_output=True, timeout=600
+        )
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        results = [path for path in Path(folder).glob("*.obj") if path != source]
+        spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        return _as_lod(read_obj(results[0])), spent
+
+
 OTHERS = (
     ("fast-simplification (no uv)", "fast_simplification", _fast_simplification),
     ("MeshLab with texture", "pymeshlab", _meshlab),
 )
 
 
-def _compare(surface: TexturedSurface, name: str) -> list[dict[str, Any]]:
+def _compare(surface: TexturedSurface, name: str, studio: MeshStudio | None) -> list[dict[str, Any]]:
     """Every decimater at every ratio."""
     methods: dict[str, Callable[[TexturedSurface, int], tuple[Lod, float]]] = {"seamskin": _ours}
     for label, package, method in OTHERS:
@@ -93,13 +123,23 @@ def _compare(surface: TexturedSurface, name: str) -> list[dict[str, Any]]:
             methods[label] = functools.partial(method, module)
         else:
             print(f"({package} is not installed: left out)")
+    program = os.environ.get("SEAM_DECIMATER")
+    if program:
+        methods["reference"] = functools.partial(_reference_decimater, program)
     reference = make_reference(surface)
+    full = studio.pictures(surface, PICTURE_PX) if studio else []
     _ours(surface, len(surface.faces) // 2)  # compile
     rows = []
     for ratio in RATIOS:
         target = round(ratio * len(surface.faces))
         for label, decimater in methods.items():
-            lod, spent = decimater(surface, target)
+            try:
+                lod, spent = decimater(surface, target)
+            except subprocess.CalledProcessError as error:
+                print(f"({label} failed on {name} to {target} faces with exit status {error.returncode})")
+                continue
+            has_uvs = len(lod.uvs) > 1
+            flip = mean_flip(full, studio.pictures(lod.surface, PICTURE_PX)) if studio and has_uvs else math.nan
             distances = measure(reference, lod)
             rows.append(
                 {
@@ -110,6 +150,7 @@ def _compare(surface: TexturedSurface, name: str) -> list[dict[str, Any]]:
                     "mean mm": 1e3 * distances.mean_m,
                     "largest mm": 1e3 * distances.largest_m,
                     "normal deg": math.degrees(distances.normal_rad),
+                    "FLIP": flip,
                     "cpu s": spent,
                     "faces/s": len(surface.faces) / max(spent, 1e-9),
                 }
@@ -144,6 +185,60 @@ def _jumps(surface: TexturedSurface, name: str) -> list[dict[str, Any]]:
             }
         )
     return rows_out
+
+
+def _relaxed(surface: TexturedSurface, name: str, studio: MeshStudio) -> list[dict[str, Any]]:
+    """A relaxed level beside the exact one of as many faces, both drawn where the relaxed one begins to be used."""
+    options = DecimateOptions()
+    engine = make_engine(surface, options)
+    engine.run_to(math.floor(NEAR_FLOOR_REL * engine.predict_floor()))
+    exact, reference = engine.copy(), make_reference(surface)
+    exact.run_to(1)
+    least = exact.num_faces
+    rows = []
+    for share in (1.0, 1.15):
+        exact, relaxed = engine.copy(), engine.copy()
+        exact.run_to(math.ceil(share * least))
+        before = measure(reference, engine.snapshot())
+        relaxed.relax(options.relaxed_px * before.largest_m / engine.metres_per_uv)
+        relaxed.run_to(exact.num_faces)
+        lods = {"exact": exact.snapshot(), "relaxed": relaxed.snapshot()}
+        strayed_m = relaxed.deviation_uv * engine.metres_per_uv
+        error_m = max(measure(reference, lods["relaxed"]).largest_m, strayed_m / options.relaxed_px)
+        full = studio.pictures(surface, FAR_PICTURE_PX, 1.0 / error_m)
+        for kind, lod in lods.items():
+            distances = measure(reference, lod)
+            rows.append(
+                {
+                    "mesh": name,
+                    "level": kind,
+                    "faces": lod.num_faces,
+                    "strayed mm": 1e3 * strayed_m if kind == "relaxed" else 0.0,
+                    "largest mm": 1e3 * distances.largest_m,
+                    "mean mm": 1e3 * distances.mean_m,
+                    "seen px tall": studio.extent_m / error_m,
+                    "FLIP": mean_flip(full, studio.pictures(lod.surface, FAR_PICTURE_PX, 1.0 / error_m)),
+                }
+            )
+    return rows
+
+
+def _prepare(path: Path) -> tuple[TexturedSurface, MeshStudio | None]:
+    """A mesh with its seams straightened, and a studio with its texture moved along, where it has one."""
+    result = straighten(read_surface(path), 0.01)
+    beside = path.with_suffix(".png")
+    if path.suffix == ".obj":
+        image = read_image(beside) if beside.is_file() else None
+    else:
+        materials = load_character(path).materials
+        texture = materials[0].base_color if len(materials) == 1 else None
+        image = texture.image if texture else None
+    if image is None or _installed("flip_evaluator") is None:
+        print(f"({path.name}: no pictures without one texture and flip-evaluator)")
+        return result.surface, None
+    height, width = image.texels.shape[:2]
+    warp = find_warp(result.split.surface, result.surface, width, height)
+    return result.surface, MeshStudio(warp.apply(image.texels), result.surface)
 
 
 def _hills(cells: int) -> TexturedSurface:
@@ -185,10 +280,11 @@ def run(argv: list[str]) -> list[dict[str, Any]]:
     parser.add_argument("--mesh", type=Path, action="append", help="measure these instead of the test characters")
     options = parser.parse_args(argv)
     paths = options.mesh or [ASSETS / name for name in MESHES if (ASSETS / name).is_file()]
-    surfaces = {path.stem: straighten(read_surface(path), 0.01).surface for path in paths}
+    prepared = {path.stem: _prepare(path) for path in paths}
     tables = [
-        [row for name, surface in surfaces.items() for row in _compare(surface, name)],
-        [row for name, surface in surfaces.items() for row in _jumps(surface, name)],
+        [row for name, (surface, studio) in prepared.items() for row in _compare(surface, name, studio)],
+        [row for name, (surface, studio) in prepared.items() if studio for row in _relaxed(surface, name, studio)],
+        [row for name, (surface, _) in prepared.items() for row in _jumps(surface, name)],
     ]
     if options.curve:
         tables.append(_curve())
