@@ -273,6 +273,8 @@ def test_relaxed_levels_say_how_much() -> None:
         assert 0.0 < strayed * 512 <= lod.uv_bound_px * (1 + 1e-9)
         # Half a texel of the mip it is seen at: half of its error, as a length on the surface.
         assert lod.uv_bound_px / 512 * metres_per_uv <= 0.5 * lod.error_m * (1 + 1e-9)
+        # Nor is it a level for pictures of less than two pixels.
+        assert lod.error_m <= 0.5 * np.ptp(surface.positions, axis=0).max()
         assert any(f"{lod.num_faces} faces" in warning for warning in chain.warnings)
         assert (np.sign(uv_areas(lod.surface)) > 0).all()
     exact_only = decimate(surface, DecimateOptions(min_faces=4, relaxed_px=0.0))
