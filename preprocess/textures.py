@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -38,6 +39,7 @@ from preprocess.weights import pack_weights, unpack_weights
 
 log = logging.getLogger(__name__)
 
+NORMAL_SIZE_PX = 1024  # without a normal map: hard edges inside charts are as sharp as texels allow
 PICTURE_PX = 768  # side of the pictures for the report
 STEPS = {"uint8": 255, "uint16": 65535}
 # Weights of the mean squared jump (see EraseOptions.seam_weight). Geometry is owned, so it need not be closed further
@@ -122,8 +124,11 @@ class TextureStage:
         return plan_erasure(surface, self.seams, *size, options, sample_uvs=surface.uvs)
 
     def build(self) -> list[StoredTexture]:
-        """Every texture of the character."""
-        return [self.position(), self.weights(), self.normal(), *self.materials()]
+        """Every texture of the character: what is geometry on one thread, what is seen on the other."""
+        with ThreadPoolExecutor(1) as pool:
+            geometry = pool.submit(lambda: [self.position(), self.weights()])
+            seen = [self.normal(), *self.materials()]
+            return [*geometry.result(), *seen]
 
     def position(self) -> StoredTexture:
         """Object-space positions in 32-bit float; right at the vertices of the full mesh."""
@@ -168,7 +173,7 @@ class TextureStage:
 
     def _normal_size(self) -> int:
         maps = [material.normal for material in self.character.materials]
-        return max((max(ref.image.texels.shape[:2]) for ref in maps if ref is not None), default=512)
+        return max((max(ref.image.texels.shape[:2]) for ref in maps if ref is not None), default=NORMAL_SIZE_PX)
 
     def _normal_texcoord(self) -> int:
         return next(m.normal.texcoord for m in self.character.materials if m.normal is not None)

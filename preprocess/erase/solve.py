@@ -166,7 +166,7 @@ def solve_change(factor: Factor, force: Floats, jump_before: Floats, tolerance: 
     change = np.zeros_like(force)
     for repeat in range(1, MAX_REPEATS + 1):
         target = force - factor.jump.T @ (factor.penalty * jump_before + multiplier)
-        residual = target - factor.matrix @ change
+        residual = target if repeat == 1 else target - factor.matrix @ change
         change = change + factor.lu.solve(residual)
         jump = jump_before + factor.jump @ change
         seam_energy = np.einsum("rc,rc->c", jump, jump)

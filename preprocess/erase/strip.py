@@ -99,7 +99,7 @@ def build_strip(intervals: Intervals, lengths_m: Floats) -> SeamStrip:
 def _between(steps: Floats) -> Floats:
     """Weights of the three Gauss points' values in a quadratic's value at each step of [0, 1], (P, 3)."""
     nodes = 0.5 + 0.5 * np.polynomial.legendre.leggauss(3)[0]
-    return np.linalg.solve(np.vander(nodes, 3).T, np.vander(steps, 3).T).T
+    return np.asarray(np.linalg.solve(np.vander(nodes, 3).T, np.vander(steps, 3).T).T, np.float64)
 
 
 def measure_intervals(texels: Floats, intervals: Intervals, lengths_m: Floats) -> SeamMeasure:
