@@ -195,7 +195,8 @@ def cracks(seen: NDArray[np.int8], frame: Frame, twin: NDArray[np.int8]) -> int:
 def measure(ctx: moderngl.Context, folder: Path, count: int, size: tuple[int, int], seed: int) -> dict[str, Any]:
     """Cracks in random frames of one character."""
     asset = load(folder)
-    asset = dataclasses.replace(asset, lods=tuple(closed_parts(mesh) for mesh in asset.lods))
+    closed = [closed_parts(mesh) for mesh in asset.lods]
+    asset = dataclasses.replace(asset, lods=tuple(mesh for mesh in closed if len(mesh.triangles)))
     low, high = asset.manifest.bind_bounds
     shift_uv = SHIFT_REL * float(np.linalg.norm(high - low)) / metres_a_uv(asset)
     shifted = dataclasses.replace(asset, lods=tuple(moved_seams(mesh, shift_uv) for mesh in asset.lods))
