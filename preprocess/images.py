@@ -125,6 +125,7 @@ def write_image(path: Path, image: Image) -> None:
     spec.attribute("oiio:UnassociatedAlpha", 1)
     if path.suffix.lower() == ".exr":
         spec.attribute("compression", "zip")
+        spec.attribute("DateTime", "1970:01:01 00:00:00")  # else the time of writing: no two files would be the same
     if path.suffix.lower() == ".png":
         spec.attribute("png:compressionLevel", 6)
     writer = oiio.ImageOutput.create(str(path))

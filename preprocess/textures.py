@@ -81,6 +81,23 @@ class StoredTexture:
     extra: dict[str, Any] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class _Job:
+    """A baked texture that awaits erasure: name, texels, format, channels in sRGB, joined seams, manifest keys."""
+
+    name: str
+    baked: Floats
+    format: str
+    srgb_channels: int
+    decision: Decision
+    extra: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def key(self) -> bytes:
+        """Equal for textures that share their joined seams."""
+        return self.decision.joined.tobytes() if self.decision.num_left else b""
+
+
 class TextureStage:
     """Everything that bakes and erasures of one character share."""
 
@@ -123,12 +140,23 @@ class TextureStage:
         surface = self.mesh.surface
         return plan_erasure(surface, self.seams, *size, options, sample_uvs=surface.uvs)
 
+    def normal(self) -> StoredTexture:
+        """The normal texture alone."""
+        return self._store(self._normal())
+
     def build(self) -> list[StoredTexture]:
-        """Every texture of the character: what is geometry on one thread, what is seen on the other."""
-        with ThreadPoolExecutor(1) as pool:
+        """Every texture, on two threads; those with the same joined seams share their erasers and a thread."""
+        with ThreadPoolExecutor(2) as pool:
             geometry = pool.submit(lambda: [self.position(), self.weights()])
-            seen = [self.normal(), *self.materials()]
-            return [*geometry.result(), *seen]
+            groups: dict[bytes, list[_Job]] = {}
+            jobs = [self._normal(), *self._materials()]
+            for job in jobs:
+                groups.setdefault(job.key, []).append(job)
+            running = [
+                pool.submit(lambda group: [self._store(job) for job in group], group) for group in groups.values()
+            ]
+            seen = {texture.name: texture for group in running for texture in group.result()}
+            return [*geometry.result(), *(seen[job.name] for job in jobs)]
 
     def position(self) -> StoredTexture:
         """Object-space positions in 32-bit float; right at the vertices of the full mesh."""
@@ -161,7 +189,7 @@ class TextureStage:
         extra = {"layout": "texel-joints", "slots": packed.slots}
         return StoredTexture("weights", (packed.texels01,), packed.format, size, seam, extra)
 
-    def normal(self) -> StoredTexture:
+    def _normal(self) -> _Job:
         """Object-space normals with the source's normal maps in them, 16 bits; hard edges stay."""
         side = self.settings.color_size_px or self._normal_size()
         tangents = None
@@ -169,7 +197,7 @@ class TextureStage:
             tangents = corner_tangents(self.mesh, self._normal_texcoord())
         baked = bake_normals(self.character, self.mesh, tangents, self.cover(side, side))
         decision = choose_normal_seams(self.mesh.surface, self.seams, self.mesh.corner_normals)
-        return self._store("normal", 0.5 * baked + 0.5, "uint16", 0, decision)
+        return self._decided(_Job("normal", 0.5 * baked + 0.5, "uint16", 0, decision))
 
     def _normal_size(self) -> int:
         maps = [material.normal for material in self.character.materials]
@@ -178,20 +206,24 @@ class TextureStage:
     def _normal_texcoord(self) -> int:
         return next(m.normal.texcoord for m in self.character.materials if m.normal is not None)
 
-    def materials(self) -> list[StoredTexture]:
+    def _materials(self) -> list[_Job]:
         """Base colour and, where the character has them, occlusion-roughness-metallic and emissive."""
         baked = bake_materials(self.character, self.mesh, self.atlas.resampled, self.settings.color_size_px, self.cover)
         return [self._material(texture) for texture in baked]
 
-    def _material(self, texture: BakedTexture) -> StoredTexture:
-        srgb_channels = 3 if texture.is_color else 0
+    def _material(self, texture: BakedTexture) -> _Job:
         threshold = np.inf if self.settings.keep_borders is None else self.settings.keep_borders
         decision = choose_color_seams(
             texture.texels, self.mesh.surface, self.seams, threshold, made_here=self.made_here
         )
-        stored = self._store(texture.name, texture.texels, texture.format, srgb_channels, decision)
         # What is copied lacks the material's factors: the model keeps them (model_materials.py).
-        return dataclasses.replace(stored, extra={**stored.extra, "copied": texture.copied})
+        extra = {"copied": texture.copied}
+        srgb_channels = 3 if texture.is_color else 0
+        return self._decided(_Job(texture.name, texture.texels, texture.format, srgb_channels, decision, extra))
+
+    def _decided(self, job: _Job) -> _Job:
+        self.decisions[job.name] = job.decision
+        return job
 
     def draw_decisions(self) -> dict[str, Floats]:
         """Pictures, by caption, of which seams were joined and which were taken for creases or painted borders."""
@@ -211,32 +243,28 @@ class TextureStage:
         materials = self.mesh.face_materials[self.seams.faces]
         return self.atlas.made_seams[faces, half_edge] & (materials[:, 0] == materials[:, 1])
 
-    def _store(
-        self, name: str, baked: Floats, stored_format: str, srgb_channels: int, decision: Decision
-    ) -> StoredTexture:
+    def _store(self, job: _Job) -> StoredTexture:
         """Erase a texture and its mip levels, rounded so that what is stored is seamless."""
-        self.decisions[name] = decision
-        joined = decision.joined if decision.num_left else None
-        key = b"" if joined is None else joined.tobytes()
+        steps, left = STEPS[job.format], job.decision.num_left
         levels = erase_mips(
-            baked,
+            job.baked,
             self.mesh.surface,
             self.seams,
-            self.options(joined),
-            levels=STEPS[stored_format],
-            srgb_channels=srgb_channels,
-            plans=self._plans.setdefault(key, {}),
+            self.options(job.decision.joined if left else None),
+            levels=steps,
+            srgb_channels=job.srgb_channels,
+            plans=self._plans.setdefault(job.key, {}),
         )
         seam: dict[str, Any] = {
             "before": _jump(levels[0].before),
             "after": _jump(levels[0].after),
             "stored": [_jump(level.stored) for level in levels],
         }
-        if decision.num_left:
-            seam["left"] = decision.num_left
-        texels = tuple(level.texels / float(STEPS[stored_format]) for level in levels)
-        height, width = baked.shape[:2]
-        return StoredTexture(name, texels, stored_format, (width, height), seam)
+        if left:
+            seam["left"] = left
+        texels = tuple(level.texels / float(steps) for level in levels)
+        height, width = job.baked.shape[:2]
+        return StoredTexture(job.name, texels, job.format, (width, height), seam, job.extra)
 
     def _seam(self, baked: Floats, erased: Floats, stored: NDArray[Any]) -> dict[str, Any]:
         """Jump across all seams before, after and as stored."""
