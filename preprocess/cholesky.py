@@ -7,6 +7,8 @@ Here all channels of an unknown lie side by side and are substituted together, f
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -15,6 +17,8 @@ from scipy import sparse
 from scipy.sparse import linalg
 
 from preprocess.mesh import Floats
+
+FEW_CHANNELS = 8  # up to so many SuperLU's own substitution costs less than taking its factors out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -36,20 +40,8 @@ def _substitute(starts, rows, values, pivots, x):
 
 
 @dataclass(frozen=True)
-class Factor:
-    """A = Pᵀ L D Lᵀ P. N unknowns. Made by `factor_symmetric`.
-
-    Attributes
-    ----------
-    order : (N,) int64
-        Unknown at every step of the elimination.
-    starts : (N + 1,) int32
-        Where each column of L begins in `rows` and `values`.
-    rows, values : (M,) int32 and float64
-        L below its unit diagonal.
-    pivots : (N,) float64
-        D.
-    """
+class _Triangle:
+    """A = Pᵀ L D Lᵀ P. N unknowns: L by columns below its unit diagonal, D, and the unknown at every step."""
 
     order: NDArray[np.int64]
     starts: NDArray[np.int32]
@@ -57,12 +49,37 @@ class Factor:
     values: Floats
     pivots: Floats
 
+
+@dataclass(frozen=True)
+class Factor:
+    """A factored matrix. Made by `factor_symmetric`.
+
+    Attributes
+    ----------
+    lu : SuperLU
+        With pivots on the diagonal.
+    """
+
+    lu: Any
+
+    @cached_property
+    def _triangle(self) -> _Triangle:
+        """L and D taken out of SuperLU; a copy, so only made where many channels repay it."""
+        pivots, lower = self.lu.U.diagonal(), self.lu.L
+        order = np.argsort(self.lu.perm_c)
+        below = lower.indices > np.repeat(np.arange(len(order), dtype=np.int32), np.diff(lower.indptr))
+        starts = np.concatenate([[0], np.cumsum(below)])[lower.indptr].astype(np.int32)
+        return _Triangle(order, starts, lower.indices[below], lower.data[below], pivots)
+
     def solve(self, right: Floats) -> Floats:
         """Solution for right-hand sides, (N, C) float64."""
-        x = np.array(right[self.order], np.float64, order="C")
-        _substitute(self.starts, self.rows, self.values, self.pivots, x)
+        if right.shape[1] <= FEW_CHANNELS:
+            return np.asarray(self.lu.solve(np.ascontiguousarray(right, np.float64)))
+        triangle = self._triangle
+        x = np.array(right[triangle.order], np.float64, order="C")
+        _substitute(triangle.starts, triangle.rows, triangle.values, triangle.pivots, x)
         result = np.empty_like(x)
-        result[self.order] = x
+        result[triangle.order] = x
         return result
 
 
@@ -94,10 +111,4 @@ def factor_symmetric(matrix: sparse.csc_array | sparse.csc_matrix) -> Factor:
     )
     if not np.array_equal(lu.perm_r, lu.perm_c):
         raise ValueError("the matrix is not positive definite")
-    pivots = lu.U.diagonal()
-    order = np.argsort(lu.perm_c)
-    lower = lu.L
-    del lu  # with the other triangle
-    below = lower.indices > np.repeat(np.arange(len(order), dtype=np.int32), np.diff(lower.indptr))
-    starts = np.concatenate([[0], np.cumsum(below)])[lower.indptr].astype(np.int32)
-    return Factor(order, starts, lower.indices[below], lower.data[below], pivots)
+    return Factor(lu)
