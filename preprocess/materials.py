@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from preprocess.color import linear_to_srgb, srgb_to_linear
 from preprocess.mesh import Floats, SkinnedMesh
 from preprocess.raster import Coverage, fill_outside, interpolate_corners
-from preprocess.resample import linear_to_srgb, sample_footprints, srgb_to_linear
+from preprocess.resample import sample_footprints
 from preprocess.texels import uv_to_px
 
 if TYPE_CHECKING:

@@ -14,18 +14,6 @@ WRAP_CODES = {"REPEAT": 0, "CLAMP_TO_EDGE": 1, "MIRRORED_REPEAT": 2}
 MAX_SAMPLES = 8  # a side of the grid over one target texel: beyond it the source is 8 times denser than asked for
 
 
-def srgb_to_linear(values: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Decode sRGB values in [0, 1] to linear light (IEC 61966-2-1)."""
-    v = np.asarray(values, np.float64)
-    return np.where(v <= 0.04045, v / 12.92, ((np.maximum(v, 0.04045) + 0.055) / 1.055) ** 2.4)
-
-
-def linear_to_srgb(values: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Encode linear light in [0, 1] as sRGB (IEC 61966-2-1)."""
-    v = np.asarray(values, np.float64)
-    return np.where(v <= 0.0031308, v * 12.92, 1.055 * np.maximum(v, 0.0031308) ** (1 / 2.4) - 0.055)
-
-
 def sample_footprints(
     texels: NDArray[np.floating],
     uvs: NDArray[np.float64],

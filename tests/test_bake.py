@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from preprocess.bake import bake_positions, bake_weights, fit_vertices
+from preprocess.color import linear_to_srgb, srgb_to_linear
 from preprocess.mesh import SkinnedMesh, TexturedSurface
 from preprocess.raster import fill_outside, interpolate_corners, rasterise
-from preprocess.resample import linear_to_srgb, sample_footprints, srgb_to_linear
+from preprocess.resample import sample_footprints
 from preprocess.texels import px_to_uv, sample_bilinear, uv_to_px
 
 

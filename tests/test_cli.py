@@ -14,11 +14,9 @@ import pytest
 from conftest import ROOT, asset
 
 
-def preprocess(*arguments: str | Path, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
+def preprocess(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "preprocess", *map(str, arguments)]
-    return subprocess.run(
-        command, cwd=cwd, capture_output=True, text=True, env=None if cwd == ROOT else {"PYTHONPATH": str(ROOT)}
-    )
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
 
 
 def refused(done: subprocess.CompletedProcess[str], *words: str) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from preprocess.color import linear_to_srgb, srgb_to_linear
 from preprocess.erase import (
     GLOBAL,
     LOCAL,
@@ -25,7 +26,7 @@ from preprocess.erase import (
 )
 from preprocess.erase import eraser as eraser_module
 from preprocess.erase import plan as plan_module
-from preprocess.erase.mips import linear_to_srgb, mip_sizes, shrink, srgb_to_linear
+from preprocess.erase.mips import mip_sizes, shrink
 from preprocess.erase.quantise import PEAK, STAY, TOLERATED, _gain
 from preprocess.erase.solve import GRADIENT_MASS, NotConvergedError
 from preprocess.erase.terms import inward_normals, jump_rows, lerp_targets, sample_rows, slope_rows, value_rows

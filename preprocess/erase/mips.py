@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from preprocess.color import linear_to_srgb, srgb_to_linear
 from preprocess.erase.eraser import Eraser
 from preprocess.erase.options import DEFAULT_OPTIONS, EraseOptions
 from preprocess.erase.plan import plan_erasure
@@ -40,18 +41,6 @@ class Level:
     before: SeamMeasure
     after: SeamMeasure
     stored: SeamMeasure
-
-
-def srgb_to_linear(values: Floats) -> Floats:
-    """Light from sRGB values (IEC 61966-2-1), odd about zero, so that values out of range survive."""
-    size = np.abs(values)
-    return np.sign(values) * np.where(size <= 0.04045, size / 12.92, ((size + 0.055) / 1.055) ** 2.4)
-
-
-def linear_to_srgb(light: Floats) -> Floats:
-    """Inverse of `srgb_to_linear`."""
-    size = np.abs(light)
-    return np.sign(light) * np.where(size <= 0.0031308, size * 12.92, 1.055 * size ** (1 / 2.4) - 0.055)
 
 
 def mip_sizes(width: int, height: int, smallest: int = 1) -> list[tuple[int, int]]:
