@@ -13,7 +13,8 @@ import numpy as np
 
 from runtime.actor import Actor
 from runtime.camera import Camera
-from runtime.gpu_asset import TEXTURE_UNITS, Model
+from runtime.gpu_asset import Model
+from runtime.gpu_textures import TEXTURE_UNITS
 from runtime.programs import assemble, set_uniforms
 from runtime.renderer import Renderer
 
@@ -66,7 +67,9 @@ class PointCapture:
         ctx = model.ctx
         self._renderer = Renderer(ctx, shader_defines=defines)
         program = capture_program(ctx, {**defines, **model.shader_defines})
-        self._renderer._programs["depth", True, bool(model.shader_defines)] = program  # released with the renderer
+        self._renderer._passes._programs["depth", True, bool(model.shader_defines)] = (
+            program  # released with the renderer
+        )
         self._storage = ctx.buffer(reserve=16 + POINT_BYTES * MAX_POINTS)
 
     def points(self, actor: Actor, camera: Camera, level: int, tessellation: float | str) -> np.ndarray:

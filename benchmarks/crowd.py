@@ -31,7 +31,7 @@ from demos.headless import Canvas, create_context, write_png
 from demos.options import picture_size
 from runtime.crowd_levels import CrowdLevel, vertex_bytes
 from runtime.gltf import Document, read_document
-from runtime.gpu_asset import DrawGroup
+from runtime.gpu_levels import DrawGroup
 
 SOURCE = Path("../shared/assets/human.glb")
 BUILT = Path("out/benchmarks/human.seamless")

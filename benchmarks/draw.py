@@ -27,10 +27,13 @@ from runtime.asset import Asset, load
 from runtime.camera import Camera, framing
 from runtime.errors import RenderError
 from runtime.gl_state import saved_state
-from runtime.gpu_asset import INSTANCE, TEXTURE_UNITS, Model, instance_layout
+from runtime.gpu_asset import Model
+from runtime.gpu_levels import INSTANCE, instance_layout
+from runtime.gpu_textures import TEXTURE_UNITS
+from runtime.passes import set_material
 from runtime.pose import sample, skinning_rows
 from runtime.programs import build_program, set_uniforms
-from runtime.renderer import Renderer, set_material
+from runtime.renderer import Renderer
 from runtime.weight_cells import split_stack
 
 BUILT = Path("out/benchmarks/human.seamless")
@@ -90,9 +93,7 @@ class Bench:
         for name, texture in self.textures.items():
             texture.use(EXTRA_UNITS[name])
         self.model.joint_texture(self.rows[None]).use(TEXTURE_UNITS["joint_texture"])
-        assert self.renderer._reflection is not None
-        self.renderer._reflection.use(TEXTURE_UNITS["reflection_texture"])
-        self.renderer._frame.bind_to_uniform_block(0)
+        self.renderer._frame.bind()
         self.joint_block.bind_to_uniform_block(1)
 
 

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from runtime.environment import Environment, Lighting
     from runtime.gpu_asset import Model
     from runtime.loading import Loading
-    from runtime.renderer import Quality, Renderer
+    from runtime.lod import Quality
+    from runtime.renderer import Renderer
 
 __all__ = [
     "Actor",
@@ -56,7 +57,7 @@ _HOMES = {
     "Lighting": "environment",
     "Loading": "loading",
     "Model": "gpu_asset",
-    "Quality": "renderer",
+    "Quality": "lod",
     "Renderer": "renderer",
 }
 

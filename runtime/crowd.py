@@ -25,7 +25,8 @@ from runtime.crowd_bake import MAX_ROWS, bake_clips, dropped_shift, pick_joints
 from runtime.crowd_levels import CrowdLevel, expand_levels, vertex_bytes
 from runtime.crowd_stage import INSTANCE_WORDS, Selection, Stage
 from runtime.errors import RenderError
-from runtime.gpu_asset import TEXTURE_UNITS, Model, require_alive
+from runtime.gpu_asset import Model, require_alive
+from runtime.gpu_textures import TEXTURE_UNITS
 from runtime.programs import build_program
 from runtime.views import CrowdFrame
 
@@ -287,7 +288,7 @@ class Crowd:
         self, frame: CrowdFrame, number: int, first: int, count: int, mirrored: bool, blended: bool | None
     ) -> None:
         """Draw the actors of one level: `count` instances from `first` on."""
-        from runtime.renderer import set_material
+        from runtime.passes import set_material
 
         level = self._levels[number]
         groups = [one for one in level.groups if blended is None or (one.material.alpha_mode == "BLEND") == blended]

@@ -16,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime import gl_state
-from runtime.gpu_asset import TEXTURE_UNITS, DrawGroup, Model
+from runtime.gpu_asset import Model
+from runtime.gpu_levels import DrawGroup
+from runtime.gpu_textures import TEXTURE_UNITS
 from runtime.programs import assemble
 
 Floats = NDArray[np.floating[Any]]

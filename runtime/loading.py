@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from runtime.asset import load
-from runtime.gpu_asset import Model, Prepared, prepare
+from runtime.gpu_asset import Model
+from runtime.gpu_textures import Prepared, prepare
 
 if TYPE_CHECKING:
     import moderngl

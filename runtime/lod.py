@@ -5,6 +5,8 @@ Letters in shapes: A actors, L levels.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,25 @@ from runtime.camera import CameraMatrices
 Floats = NDArray[np.floating]
 
 HYSTERESIS = 0.15  # a coarser level is taken only where its error is this part below the threshold: no flicker at rest
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How good the picture is to be.
+
+    Attributes
+    ----------
+    threshold_px : float
+        Largest error on the screen that the chosen level of detail may have, pixels.
+    segment_px : float
+        Adaptive tessellation divides edges into pieces of about this length, pixels.
+    texels_a_segment : float
+        But not into pieces shorter than this many texels of the position texture, which have nothing to add.
+    """
+
+    threshold_px: float = 1.0
+    segment_px: float = 6.0
+    texels_a_segment: float = 1.0
 
 
 def corners_of(boxes: Floats) -> NDArray[np.float64]:

@@ -17,8 +17,8 @@ from runtime.asset import Asset, load
 from runtime.bounds import pose_bounds
 from runtime.camera import Camera, MatrixCamera
 from runtime.gpu_asset import Model
-from runtime.lod import HYSTERESIS, choose_levels, corners_of, pixels_per_metre, transform_boxes, visible
-from runtime.renderer import Quality, Renderer
+from runtime.lod import HYSTERESIS, Quality, choose_levels, corners_of, pixels_per_metre, transform_boxes, visible
+from runtime.renderer import Renderer
 
 SIDE_PX = 256
 ERRORS = np.array([0.0, 0.002, 0.01, 0.05, 0.2])

@@ -12,8 +12,8 @@ import pytest
 from preprocess.texels import bilinear_stencil, sample_bilinear, uv_to_px
 from runtime.errors import RenderError
 from runtime.gl_state import SHADER_STAGES, compile_shader, functions
+from runtime.passes import PATCH_STAGES
 from runtime.programs import assemble, build_program, require_version
-from runtime.renderer import _PATCH_STAGES
 from runtime.views import LINES, VIEWS
 
 SHADERS = Path(__file__).resolve().parent.parent / "shaders"
@@ -42,7 +42,7 @@ def test_every_stage_compiles_without_warnings(ctx: moderngl.Context, name: str,
 
 
 @pytest.mark.parametrize("view", [*VIEWS, "lines"])
-@pytest.mark.parametrize("stages", [("static.vert",), _PATCH_STAGES], ids=["static", "patches"])
+@pytest.mark.parametrize("stages", [("static.vert",), PATCH_STAGES], ids=["static", "patches"])
 def test_every_view_links(ctx: moderngl.Context, view: str, stages: tuple[str, ...]) -> None:
     chosen = LINES if view == "lines" else VIEWS[view]
     build_program(ctx, (*stages, chosen.fragment), chosen.defines).release()

@@ -15,7 +15,9 @@ from benchmarks._points import MIN_VERSION_CODE, PointCapture, differing_points
 from runtime.asset import Asset, LodMesh, load
 from runtime.camera import Camera
 from runtime.gl_state import saved_state
-from runtime.gpu_asset import INSTANCE, TEXTURE_UNITS, Model
+from runtime.gpu_asset import Model
+from runtime.gpu_levels import INSTANCE
+from runtime.gpu_textures import TEXTURE_UNITS
 from runtime.patches import build_patches
 from runtime.programs import assemble
 from runtime.renderer import Renderer
@@ -194,8 +196,8 @@ def test_static_copies_are_the_same_bits(ctx: moderngl.Context, ball: Asset) -> 
     model.joint_texture(np.ascontiguousarray(actor.joint_rows[None], np.float32)).use(TEXTURE_UNITS["joint_texture"])
     record = np.zeros(1, INSTANCE)
     record["rows"][:] = np.eye(4)[:3]
-    model.instance_buffer("test", record)
-    array = model.vertex_array(("test",), "test", program, 0, "triangles")
+    model.levels.instance_buffer("test", record)
+    array = model.levels.vertex_array(("test",), "test", program, 0, "triangles")
     mesh = ball.lods[0]
     out = ctx.buffer(reserve=12 * 3 * len(mesh.triangles))
     framebuffer = ctx.simple_framebuffer((1, 1))

@@ -1,0 +1,75 @@
+"""What is the same for everything in one picture, on the GPU: the frame's uniform block and the map of reflections.
+
+The block's words are those of `shaders/include/frame.glsl`.
+"""
+
+from __future__ import annotations
+
+import moderngl
+import numpy as np
+
+from runtime.camera import CameraMatrices
+from runtime.environment import Lighting
+from runtime.gpu_textures import TEXTURE_UNITS
+from runtime.lod import Quality
+
+FRAME_BINDING = 0
+FRAME_ROWS = 18  # vec4 in the block
+MAX_FACTOR = 64.0  # every OpenGL with tessellation has it
+
+
+class FrameBlock:
+    """The frame's uniform block and the map of reflections of one renderer.
+
+    Parameters
+    ----------
+    ctx : moderngl.Context
+    lighting : Lighting
+    """
+
+    def __init__(self, ctx: moderngl.Context, lighting: Lighting) -> None:
+        self.ctx = ctx
+        self._block = ctx.buffer(reserve=16 * FRAME_ROWS, dynamic=True)
+        self._reflection: moderngl.Texture | None = None
+        self.upload_lighting(lighting)
+
+    def upload_lighting(self, lighting: Lighting) -> None:
+        """Fill the map of reflections."""
+        levels = [level.astype(np.float16) for level in lighting.environment.levels]
+        if self._reflection is None:
+            rows, columns = levels[0].shape[:2]
+            self._reflection = self.ctx.texture((columns, rows), 3, levels[0].tobytes(), alignment=1, dtype="f2")
+            self._reflection.build_mipmaps(0, len(levels) - 1)
+            self._reflection.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+            self._reflection.repeat_x, self._reflection.repeat_y = True, False
+        for level, texels in enumerate(levels):
+            self._reflection.write(texels.tobytes(), level=level, alignment=1)
+
+    def write(
+        self, matrices: CameraMatrices, size_px: tuple[int, int], lighting: Lighting, quality: Quality, factor: float
+    ) -> None:
+        """Fill the block for a picture; `factor` divides every tessellated edge, 0 for as its length on screen asks."""
+        width, height = size_px
+        sun = np.asarray(lighting.sun_direction, np.float64)
+        frame = np.zeros((FRAME_ROWS, 4), np.float32)
+        frame[0:4] = matrices.clip_from_world.T
+        frame[4, :3] = matrices.eye
+        focal_px = max(matrices.projection[0, 0] * width, matrices.projection[1, 1] * height) / 2
+        frame[5] = width, height, focal_px, float(matrices.is_perspective)
+        frame[6, :3] = sun / max(float(np.linalg.norm(sun)), 1e-30)
+        frame[7] = *lighting.sun_color, lighting.exposure
+        frame[8:17, :3] = lighting.environment.irradiance
+        frame[17] = quality.segment_px, MAX_FACTOR, factor, quality.texels_a_segment
+        self._block.write(frame.tobytes())
+
+    def bind(self) -> None:
+        """Put block and map where all programs expect them."""
+        assert self._reflection is not None
+        self._block.bind_to_uniform_block(FRAME_BINDING)
+        self._reflection.use(TEXTURE_UNITS["reflection_texture"])
+
+    def release(self) -> None:
+        """Free both."""
+        self._block.release()
+        if self._reflection is not None:
+            self._reflection.release()

@@ -1,0 +1,231 @@
+"""Levels of detail on the GPU: vertices, indices of triangles, patches and seams, and what each program reads of them.
+
+A vertex is two uvs: its own, for the material, and its owner's, for the geometry. What an actor adds comes as one
+record an instance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.asset import Asset, LodMesh, MaterialData
+from runtime.patch_faults import faulty_faces, keep_flat
+from runtime.patches import build_patches, seam_edges
+
+INSTANCE = np.dtype([("rows", "<f4", (3, 4)), ("tint", "<f4", 4), ("numbers", "<i4", 2)])
+VERTEX_ATTRIBUTES = (("2f4", "in_uv"), ("2f4", "in_owner_uv"))
+INSTANCE_ATTRIBUTES = (
+    ("4f4", "in_world_row0"),
+    ("4f4", "in_world_row1"),
+    ("4f4", "in_world_row2"),
+    ("4f4", "in_tint"),
+    ("2i4", "in_numbers"),
+)
+PATCH_TOLERANCE_REL = 1e-3  # a divided triangle may always stray so far from the flat one, of the body's diagonal
+
+
+@dataclass(frozen=True)
+class DrawGroup:
+    """Consecutive faces of a LOD with equal materials."""
+
+    first: int
+    count: int
+    material: MaterialData
+
+
+@dataclass(frozen=True)
+class GpuLod:
+    """Buffers of one level of detail.
+
+    Attributes
+    ----------
+    vertices : Buffer
+        `vertex_bytes`.
+    indices : Buffer
+        Of triangles, three each.
+    index_size : int
+        Bytes an index, 2 or 4.
+    """
+
+    mesh: LodMesh
+    groups: tuple[DrawGroup, ...]
+    vertices: moderngl.Buffer
+    indices: moderngl.Buffer
+    index_size: int
+
+
+def draw_groups(mesh: LodMesh, materials: tuple[MaterialData, ...]) -> tuple[DrawGroup, ...]:
+    """Ranges of a level's faces, those with equal materials in one."""
+    groups: list[DrawGroup] = []
+    for draw in mesh.draws:
+        material = materials[draw.material] if 0 <= draw.material < len(materials) else MaterialData()
+        anonymous = MaterialData(**{**material.__dict__, "name": ""})
+        if groups and groups[-1].material == anonymous and groups[-1].first + groups[-1].count == draw.first:
+            groups[-1] = DrawGroup(groups[-1].first, groups[-1].count + draw.count, anonymous)
+        elif draw.count:
+            groups.append(DrawGroup(draw.first, draw.count, anonymous))
+    return tuple(groups)
+
+
+def vertex_bytes(mesh: LodMesh) -> bytes:
+    """A level's vertices: uv and owner uv, four float32 each."""
+    return np.concatenate([mesh.uvs, mesh.owner_uvs], axis=1).tobytes()
+
+
+def index_bytes(mesh: LodMesh, indices: NDArray[np.uint32]) -> bytes:
+    """Indices in as few bytes as the level's vertices allow."""
+    return indices.astype(np.uint16 if len(mesh.uvs) <= 0xFFFF else np.uint32).tobytes()
+
+
+class Levels:
+    """A character's levels of detail in a context, and the vertex arrays that programs draw them with.
+
+    Parameters
+    ----------
+    ctx : moderngl.Context
+    asset : Asset
+    """
+
+    def __init__(self, ctx: moderngl.Context, asset: Asset) -> None:
+        self.ctx, self.asset = ctx, asset
+        self.lods: tuple[GpuLod, ...] = ()
+        self._owned: list[moderngl.Buffer] = []
+        self._line_buffers: dict[int, moderngl.Buffer] = {}
+        self._edge_texels: dict[int, float] = {}
+        self._patch_buffers: dict[int, moderngl.Buffer] = {}
+        self._vertex_arrays: dict[tuple[Any, ...], moderngl.VertexArray] = {}
+        self._instances: dict[Any, moderngl.Buffer] = {}
+
+    def _keep(self, content: bytes) -> moderngl.Buffer:
+        self._owned.append(self.ctx.buffer(content))
+        return self._owned[-1]
+
+    def upload(self, mesh: LodMesh) -> None:
+        """Add the next level."""
+        lod = GpuLod(
+            mesh=mesh,
+            groups=draw_groups(mesh, self.asset.materials),
+            vertices=self._keep(vertex_bytes(mesh)),
+            indices=self._keep(index_bytes(mesh, mesh.triangles)),
+            index_size=2 if len(mesh.uvs) <= 0xFFFF else 4,
+        )
+        self.lods = (*self.lods, lod)
+
+    def patches(self, level: int) -> moderngl.Buffer:
+        """Index buffer of a level's patches, nine a triangle (made when first asked for)."""
+        if level not in self._patch_buffers:
+            mesh = self.lods[level].mesh
+            indices = build_patches(mesh.uvs, mesh.owner_uvs, mesh.triangles)
+            if len(indices):
+                indices = self._without_faults(mesh, indices)
+            self._patch_buffers[level] = self._keep(index_bytes(mesh, indices))
+        return self._patch_buffers[level]
+
+    def _without_faults(self, mesh: LodMesh, patches: NDArray[np.uint32]) -> NDArray[np.uint32]:
+        positions = np.asarray(self.asset.textures["position"].levels[0][:, :, :3], np.float32)
+        low, high = self.asset.manifest.bind_bounds
+        tolerance_m = max(mesh.error_m, PATCH_TOLERANCE_REL * float(np.linalg.norm(high - low)))
+        faulty = faulty_faces(positions, mesh.uvs, mesh.owner_uvs, patches, tolerance_m)
+        _, points = np.unique(mesh.owner_uvs, axis=0, return_inverse=True)
+        return keep_flat(patches, points.ravel(), faulty)
+
+    def longest_edge_texels(self, level: int) -> float:
+        """Length of a level's longest edge in texels of the position texture, along its longer axis."""
+        if level not in self._edge_texels:
+            mesh = self.lods[level].mesh
+            corners = mesh.uvs[mesh.triangles.astype(np.int64)] * self.asset.textures["position"].size
+            self._edge_texels[level] = float(np.abs(corners - np.roll(corners, 1, axis=1)).max())
+        return self._edge_texels[level]
+
+    def seam_lines(self, level: int) -> moderngl.Buffer | None:
+        """Index buffer of a level's seam edges, None where it has none (made when first asked for)."""
+        if level not in self._line_buffers:
+            mesh = self.lods[level].mesh
+            indices = seam_edges(mesh.uvs, mesh.owner_uvs, mesh.triangles)
+            if not len(indices):
+                return None
+            self._line_buffers[level] = self._keep(index_bytes(mesh, indices))
+        return self._line_buffers[level]
+
+    def instance_buffer(self, key: Any, instances: NDArray[Any]) -> moderngl.Buffer:
+        """A buffer that holds these instances (`INSTANCE` records), one buffer a key."""
+        buffer = self._instances.get(key)
+        if buffer is None or buffer.size < instances.nbytes:
+            capacity = instances.nbytes if buffer is None else max(instances.nbytes, 2 * buffer.size)
+            if buffer is not None:
+                self._drop_vertex_arrays(lambda vao_key: vao_key[1] == key)
+                buffer.release()
+            buffer = self.ctx.buffer(reserve=capacity, dynamic=True)
+            self._instances[key] = buffer
+        buffer.write(instances.tobytes())
+        return buffer
+
+    def vertex_array(
+        self, program_key: Any, group: Any, program: moderngl.Program, level: int, kind: str
+    ) -> moderngl.VertexArray:
+        """The vertex array of a level for a program: `kind` is "triangles", "patches" or "seams"."""
+        key = (program_key, group, level, kind)
+        if key not in self._vertex_arrays:
+            lod = self.lods[level]
+            indices = {
+                "triangles": lambda: lod.indices,
+                "patches": lambda: self.patches(level),
+                "seams": lambda: self.seam_lines(level),
+            }
+            content = [
+                layout(program, lod.vertices, VERTEX_ATTRIBUTES),
+                instance_layout(program, self._instances[group]),
+            ]
+            self._vertex_arrays[key] = self.ctx.vertex_array(
+                program,
+                [entry for entry in content if entry is not None],
+                indices[kind](),
+                index_element_size=lod.index_size,
+            )
+        return self._vertex_arrays[key]
+
+    def _drop_vertex_arrays(self, which: Callable[[Any], bool]) -> None:
+        for key in [key for key in self._vertex_arrays if which(key)]:
+            self._vertex_arrays.pop(key).release()
+
+    def forget_programs(self, owner: Any) -> None:
+        """Free what was made for a renderer's programs."""
+        self._drop_vertex_arrays(lambda key: key[0][0] == owner)
+
+    def release(self) -> None:
+        """Free all buffers and vertex arrays."""
+        self._drop_vertex_arrays(lambda key: True)
+        for thing in [*self._owned, *self._instances.values()]:
+            thing.release()
+        self._owned.clear()
+        self._instances.clear()
+
+
+def instance_layout(program: moderngl.Program, buffer: moderngl.Buffer) -> tuple[Any, ...] | None:
+    """moderngl's description of a buffer of `INSTANCE` records for a program."""
+    return layout(program, buffer, INSTANCE_ATTRIBUTES, per_instance=True)
+
+
+def layout(
+    program: moderngl.Program,
+    buffer: moderngl.Buffer,
+    attributes: tuple[tuple[str, str], ...],
+    per_instance: bool = False,
+) -> tuple[Any, ...] | None:
+    """moderngl's description of a buffer, with gaps where the program does not use an attribute."""
+    formats, names = [], []
+    for form, name in attributes:
+        if name in program:
+            formats.append(form)
+            names.append(name)
+        else:
+            formats.append(f"{int(form[0]) * 4}x")
+    if not names:
+        return None
+    return (buffer, " ".join(formats) + (" /i" if per_instance else ""), *names)

@@ -1,0 +1,120 @@
+"""Textures of a character on the GPU: which units they take, how texels are prepared, and how they get there.
+
+Preparing needs no context and may run in any thread; uploading goes a slice at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.asset import Asset
+from runtime.errors import RenderError
+from runtime.weight_cells import WeightCells, build_weight_cells
+
+# Texture units, the same for every program.
+TEXTURE_UNITS = {
+    "position_texture": 0,
+    "weight_cells": 1,
+    "weight_records": 2,
+    "joint_records": 3,
+    "joint_texture": 4,
+    "normal_texture": 5,
+    "base_color_texture": 6,
+    "orm_texture": 7,
+    "emissive_texture": 8,
+    "reflection_texture": 9,
+}
+NUM_TEXTURE_UNITS = len(TEXTURE_UNITS)
+_DTYPES = {"uint8": "f1", "uint16": "nu2", "float16": "f2", "float32": "f4"}
+_EXACT_DTYPES = {"uint16": "u2", "uint32": "u4"}
+_BYTES = {"uint8": 1, "f1": 1, "nu2": 2, "f2": 2, "f4": 4, "u2": 2, "u4": 4}
+SLICE_BYTES = 1 << 20  # uploaded at a time by a model made in slices: well under a millisecond on any bus
+POSITION_FORMATS = ("unorm16", "float32")
+
+
+def make_texture(
+    ctx: moderngl.Context, texels: NDArray[Any], mips: tuple[NDArray[Any], ...] = (), linear: bool = True
+) -> moderngl.Texture:
+    """A 2D texture for an array (H, W, C), clamped, with its mip levels, not yet filled."""
+    kind = texels.dtype.name
+    dtype = _DTYPES[kind] if linear else _EXACT_DTYPES[kind]
+    height, width, channels = texels.shape
+    texture = ctx.texture((width, height), channels, alignment=1, dtype=dtype)
+    if mips:
+        texture.build_mipmaps(0, len(mips))
+        texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+    else:
+        texture.filter = (moderngl.LINEAR, moderngl.LINEAR) if linear else (moderngl.NEAREST, moderngl.NEAREST)
+    texture.repeat_x = texture.repeat_y = False
+    return texture
+
+
+def fill_texture(texture: moderngl.Texture, levels: tuple[NDArray[Any], ...]) -> Iterator[None]:
+    """Write a texture's levels, some rows at a time: `SLICE_BYTES` at most, at least one row."""
+    for level, texels in enumerate(levels):
+        height, width = texels.shape[:2]
+        rows = max(1, SLICE_BYTES // max(texels[0].nbytes, 1))
+        for first in range(0, height, rows):
+            part = np.ascontiguousarray(texels[first : first + rows])
+            texture.write(part, viewport=(0, first, width, len(part)), level=level, alignment=1)
+            yield
+
+
+def texture_bytes(texture: moderngl.Texture) -> int:
+    """Bytes of a texture's first level."""
+    return int(texture.width * texture.height * texture.components * _BYTES[texture.dtype])
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A character turned into what the GPU takes, without a context: the slow part of making a model.
+
+    Attributes
+    ----------
+    asset : Asset
+    position_texels : (H, W, 4) uint16 or float32
+    position_scale, position_offset : (3,) float64
+        Metres are texels times scale plus offset.
+    weight_cells : WeightCells
+    """
+
+    asset: Asset
+    position_texels: NDArray[Any]
+    position_scale: NDArray[np.float64]
+    position_offset: NDArray[np.float64]
+    weight_cells: WeightCells
+
+
+def _position_texels(texels: NDArray[Any], form: str) -> tuple[NDArray[Any], NDArray[np.float64], NDArray[np.float64]]:
+    """Texels for the GPU, and the scale and offset that turn them back into metres."""
+    positions = texels[:, :, :3].astype(np.float64)
+    if form == "float32":
+        full = np.zeros((*positions.shape[:2], 4), np.float32)
+        full[:, :, :3] = positions
+        return full, np.ones(3), np.zeros(3)
+    low, high = positions.min(axis=(0, 1)), positions.max(axis=(0, 1))
+    size = np.maximum(high - low, 1e-30)
+    full16 = np.zeros((*positions.shape[:2], 4), np.uint16)
+    full16[:, :, :3] = np.rint((positions - low) / size * 65535.0)
+    return full16, size, low
+
+
+def prepare(asset: Asset, position_format: str = "unorm16") -> Prepared:
+    """Turn a character into what the GPU takes. Needs no context: may run in any thread.
+
+    Raises
+    ------
+    RenderError
+        If there is no such position format.
+    """
+    if position_format not in POSITION_FORMATS:
+        raise RenderError(f"no position format {position_format!r}: one of {', '.join(POSITION_FORMATS)}")
+    texels, scale, offset = _position_texels(asset.textures["position"].levels[0], position_format)
+    cells = build_weight_cells(asset.textures["weights"].levels[0], asset.weight_size, asset.num_joints)
+    return Prepared(asset, texels, scale, offset, cells)

@@ -1,0 +1,214 @@
+"""The GL calls of one picture: which state, which program, and what of each level in which order.
+
+Solid parts come first, then blended ones, then lines over both. State is saved around it by the caller.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import moderngl
+import numpy as np
+
+from runtime import gl_state
+from runtime.frame_block import MAX_FACTOR
+from runtime.gl_state import Functions
+from runtime.gpu_asset import Model
+from runtime.gpu_textures import TEXTURE_UNITS
+from runtime.patches import PATCH_VERTICES
+from runtime.placing import Group
+from runtime.programs import build_program, set_uniforms
+from runtime.views import LINE_COLORS, LINES, View
+
+if TYPE_CHECKING:
+    from runtime.asset import MaterialData
+
+# Mesa's software rasteriser numbers the vertices that one call tessellates with 16 bits, and drops what is beyond.
+SOFTWARE_RENDERERS = ("llvmpipe", "softpipe")
+SOFTWARE_VERTICES_A_CALL = 60_000
+PATCH_STAGES = ("patch.vert", "patch.tesc", "patch.tese")
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a picture looks: the same for all that is drawn in it.
+
+    Attributes
+    ----------
+    name, view : the view, and its name
+    uniforms : mapping
+        Of a caller's own fragment shader.
+    factor : float
+        Divides every tessellated edge, 0 for as its length on the screen asks.
+    texels_a_segment : float
+        Shortest piece of an edge then, texels of the position texture.
+    """
+
+    name: str
+    view: View
+    uniforms: Mapping[str, Any]
+    factor: float = 0.0
+    texels_a_segment: float = 1.0
+
+
+class Passes:
+    """Programs of one renderer, and how they are used.
+
+    Parameters
+    ----------
+    ctx : moderngl.Context
+    defines : mapping
+        Preprocessor definitions of all programs.
+    """
+
+    def __init__(self, ctx: moderngl.Context, defines: Mapping[str, str | int]) -> None:
+        self.ctx = ctx
+        self._defines = defines
+        self._programs: dict[tuple[str, bool, bool], moderngl.Program] = {}
+        self._models: weakref.WeakSet[Model] = weakref.WeakSet()
+        self._is_software = any(name in ctx.info["GL_RENDERER"] for name in SOFTWARE_RENDERERS)
+
+    # Programs
+
+    def forget(self, name: str) -> None:
+        """Free the programs of a view."""
+        for key in [key for key in self._programs if key[0] == name]:
+            self._forget_vertex_arrays()
+            self._programs.pop(key).release()
+
+    def _forget_vertex_arrays(self) -> None:
+        for model in self._models:
+            model.levels.forget_programs(id(self))
+
+    def _program(self, name: str, view: View, tessellated: bool, model: Model) -> moderngl.Program:
+        key = (name, tessellated, bool(model.shader_defines))
+        if key not in self._programs:
+            stages = [*(PATCH_STAGES if tessellated else ("static.vert",))]
+            if view.fragment:
+                stages.append(view.fragment)
+            defines = {**self._defines, **view.defines, **model.shader_defines}
+            program = build_program(self.ctx, stages, defines, view.text, view.folder)
+            set_uniforms(program, TEXTURE_UNITS)
+            self._programs[key] = program
+        return self._programs[key]
+
+    # Drawing
+
+    def draw(self, gl: Functions, groups: Sequence[Group], look: Look) -> None:
+        """Draw groups of actors into the bound framebuffer. Poses and the frame are bound already."""
+        _set_state(gl, look.view)
+        for group in groups:
+            self._models.add(group.model)
+            group.model.levels.instance_buffer(group.key, group.records)
+        view = look.view
+        for blended in (False, True) if view.blends else (False,):
+            gl.switch(gl_state.BLEND, blended)
+            gl.glDepthMask(not blended)
+            for group in groups:
+                self._draw_faces(gl, group, look, blended if view.blends else None)
+        if view.lines:
+            gl.switch(gl_state.POLYGON_OFFSET_FILL, False)
+            gl.glDepthFunc(gl_state.LEQUAL)
+            for group in groups:
+                self._draw_lines(gl, group, look)
+
+    def _bind(self, group: Group, program: moderngl.Program, look: Look) -> None:
+        group.model.bind_textures()
+        set_uniforms(program, group.model.constants)
+        set_uniforms(program, look.view.uniforms)
+        set_uniforms(program, look.uniforms)
+
+    def _draw_faces(self, gl: Functions, group: Group, look: Look, blended: bool | None) -> None:
+        """Draw the ranges of a level: all of them, or those that are blended, or those that are not."""
+        model, view = group.model, look.view
+        lod = model.lods[group.level]
+        ranges = [part for part in lod.groups if blended is None or (part.material.alpha_mode == "BLEND") == blended]
+        if not ranges:
+            return
+        program = self._program(look.name, view, group.tessellated, model)
+        self._bind(group, program, look)
+        kind = "patches" if group.tessellated else "triangles"
+        array = model.levels.vertex_array(
+            (id(self), look.name, group.tessellated), group.key, program, group.level, kind
+        )
+        per_face = PATCH_VERTICES if group.tessellated else 3
+        if group.tessellated:
+            self.ctx.patch_vertices = PATCH_VERTICES
+        mode = moderngl.PATCHES if group.tessellated else moderngl.TRIANGLES
+        at_most = self._patches_a_call(group, look) if group.tessellated and self._is_software else None
+        gl.glFrontFace(gl_state.CW if group.mirrored else gl_state.CCW)
+        for part in ranges:
+            gl.switch(gl_state.CULL_FACE, not (part.material.double_sided or view.two_sided))
+            set_material(program, part.material, view.blends)
+            for first in range(0, part.count, at_most or part.count):
+                faces = min(at_most or part.count, part.count - first)
+                start = (part.first + first) * per_face
+                array.render(mode, vertices=faces * per_face, first=start, instances=len(group.records))
+
+    def _patches_a_call(self, group: Group, look: Look) -> int:
+        """How many patches a software rasteriser takes in one call, whatever their factors turn out to be."""
+        longest = group.model.levels.longest_edge_texels(group.level) / look.texels_a_segment
+        segments = int(np.ceil(look.factor or min(MAX_FACTOR, longest))) + 1  # fractional spacing rounds up to odd
+        vertices = 3 * (segments // 2 + 1) ** 2  # rings of 3 n, 3 (n - 2) ... vertices
+        return max(1, SOFTWARE_VERTICES_A_CALL // vertices)
+
+    def _draw_lines(self, gl: Functions, group: Group, look: Look) -> None:
+        lines = look.view.lines
+        over = Look("lines", LINES, {"flat_color": LINE_COLORS[lines]}, look.factor, look.texels_a_segment)
+        if lines == "wireframe":
+            gl.glPolygonMode(gl_state.FRONT_AND_BACK, gl_state.LINE)
+            self._draw_faces(gl, group, over, None)
+            gl.glPolygonMode(gl_state.FRONT_AND_BACK, gl_state.FILL)
+            return
+        levels = group.model.levels
+        if levels.seam_lines(group.level) is None:
+            return
+        program = self._program("lines", LINES, False, group.model)
+        self._bind(group, program, over)
+        set_material(program, group.model.lods[group.level].groups[0].material, False)
+        array = levels.vertex_array((id(self), "lines", False), group.key, program, group.level, "seams")
+        array.render(moderngl.LINES, instances=len(group.records))
+
+    def release(self) -> None:
+        """Free all programs, and the vertex arrays that models made for them."""
+        self._forget_vertex_arrays()
+        for program in self._programs.values():
+            program.release()
+        self._programs.clear()
+
+
+def _set_state(gl: Functions, view: View) -> None:
+    """What does not change while a picture is drawn."""
+    gl.switch(gl_state.DEPTH_TEST, True)
+    gl.switch(gl_state.FRAMEBUFFER_SRGB, False)
+    gl.switch(gl_state.SAMPLE_ALPHA_TO_COVERAGE, False)
+    gl.glDepthFunc(gl_state.LESS)
+    gl.glPolygonMode(gl_state.FRONT_AND_BACK, gl_state.FILL)
+    gl.glBlendEquationSeparate(gl_state.FUNC_ADD, gl_state.FUNC_ADD)
+    gl.glBlendFuncSeparate(gl_state.SRC_ALPHA, gl_state.ONE_MINUS_SRC_ALPHA, gl_state.ONE, gl_state.ONE_MINUS_SRC_ALPHA)
+    gl.glCullFace(gl_state.BACK)
+    gl.switch(gl_state.POLYGON_OFFSET_FILL, bool(view.lines))
+    gl.switch(gl_state.POLYGON_OFFSET_LINE, False)
+    gl.glPolygonOffset(1.0, 1.0)
+    if not view.writes_color:
+        gl.glColorMask(0, 0, 0, 0)
+
+
+def set_material(program: moderngl.Program, material: MaterialData, blends: bool) -> None:
+    """Uniforms of one material, those that the program has."""
+    is_blended = material.alpha_mode == "BLEND" and blends
+    values: dict[str, Any] = {
+        "base_color_factor": material.base_color_factor,
+        "surface_factors": (
+            material.occlusion_strength,
+            material.roughness_factor,
+            material.metallic_factor,
+            material.alpha_cutoff if material.alpha_mode == "MASK" else -1.0,
+        ),
+        "emissive_factor": material.emissive_factor,
+        "surface_flags": int(is_blended) | 2 * int(material.unlit),
+    }
+    set_uniforms(program, values)
