@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from preprocess.atlas.overlap import find_overlap
 from preprocess.erase import measure_seams
 from preprocess.errors import InputError
+from preprocess.folder import MANIFEST
 from preprocess.mesh import Floats, TexturedSurface
 from preprocess.seams import Seams, find_seams
 from preprocess.texels import sample_bilinear
@@ -48,6 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
         asset = load(arguments.folder)
     except AssetError as error:
         raise InputError(str(error)) from None
+    _require_claims(asset)
     failures = []
     for label, text, holds in measure_asset(asset):
         print(f"{label:<24}{text}{'' if holds else '   DIFFERS'}")
@@ -61,6 +63,23 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _require_claims(asset: Asset) -> None:
+    """Refuse a manifest that claims nothing to compare with: the runtime draws without these entries."""
+    manifest = asset.manifest.json
+    atlas = manifest.get("atlas")
+    missing = [] if isinstance(atlas, dict) and isinstance(atlas.get("overlap"), int) else ["atlas.overlap"]
+    for name, texture in asset.textures.items():
+        entry = manifest["textures"][name]
+        seam = entry.get("seam")
+        stored = seam.get("stored") if isinstance(seam, dict) else None
+        measures = stored if isinstance(stored, list) else []
+        whole = all(isinstance(level, dict) and {"rms", "max"} <= level.keys() for level in measures)
+        if not whole or len(measures) != len(texture.levels):
+            missing.append(f"textures.{name}.seam.stored")
+    if missing:
+        raise InputError(f"{asset.path / MANIFEST} lacks {missing[0]}: nothing to check against; build it again")
+
+
 def measure_asset(asset: Asset) -> Iterator[tuple[str, str, bool]]:
     """Label, measure in words, and whether the manifest's claim holds, for everything that can be measured."""
     manifest = asset.manifest.json
@@ -69,7 +88,8 @@ def measure_asset(asset: Asset) -> Iterator[tuple[str, str, bool]]:
     found = find_overlap(finest.uvs, finest.face_uvs)
     overlap = found.num_pairs + found.num_flat
     yield "overlapping faces", str(overlap), overlap <= manifest["atlas"]["overlap"]
-    for name, entry in manifest["textures"].items():
+    for name in asset.textures:
+        entry = manifest["textures"][name]
         joined = None
         for level, texels in enumerate(_levels(asset, name)):
             claim = entry["seam"]["stored"][level]
@@ -86,7 +106,7 @@ def measure_asset(asset: Asset) -> Iterator[tuple[str, str, bool]]:
             f"level of detail {index}",
             f"{len(lod.triangles)} faces, {len(surface.positions)} vertices, error {lod.error_m:.3g} m"
             f"{'' if watertight else ', not as closed as the full mesh'}",
-            watertight and len(lod.triangles) == entry["faces"] and len(surface.positions) == entry["vertices"],
+            watertight and (len(lod.triangles), len(surface.positions)) == (entry.get("faces"), entry.get("vertices")),
         )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.errors import InputError
+from runtime.png import find_png_fault
 
 
 @dataclass(frozen=True)
@@ -58,18 +59,28 @@ def read_image(source: Path | bytes, what: str = "image", *, native: bool = Fals
     """
     if isinstance(source, bytes):  # OpenImageIO's Python module reads files only
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / _guess_name(source)
+            path = Path(folder) / _guess_name(source, what)
             path.write_bytes(source)
-            return read_image(path, what, native=native)
-    import OpenImageIO as oiio
-
+            return _decode(path, what, native)
     if not source.is_file():
         raise InputError(f"{what}: no such file: {source}")
+    return _decode(source, what, native)
+
+
+def _decode(source: Path, what: str, native: bool) -> Image:
+    import OpenImageIO as oiio
+
+    try:
+        fault = find_png_fault(source.read_bytes())
+    except OSError as error:
+        raise InputError(f"{what} cannot be read: {error.strerror}") from None
+    if fault:
+        raise InputError(f"{what} does not decode: {fault}: save it again")
     config = oiio.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
     reader = oiio.ImageInput.open(str(source), config)
     if reader is None:
-        message = (oiio.geterror() or "unknown format").splitlines()[0]
+        message = (oiio.geterror() or "unknown format").splitlines()[0].replace(f' ("{source}")', "")
         raise InputError(f"{what} does not decode ({message}): save it as PNG, JPEG, TIFF or EXR")
     try:
         spec = reader.spec()
@@ -87,12 +98,26 @@ def read_image(source: Path | bytes, what: str = "image", *, native: bool = Fals
     return Image(texels, fmt, tuple(spec.channelnames), spec)
 
 
-def _guess_name(data: bytes) -> str:
-    signatures = {b"\x89PNG": "a.png", b"\xff\xd8\xff": "a.jpg", b"RIFF": "a.webp", b"v/1\x01": "a.exr"}
-    for signature, name in signatures.items():
+# First bytes of image files -> a name that tells OpenImageIO the format.
+_SIGNATURES = {
+    b"\x89PNG": "a.png",
+    b"\xff\xd8\xff": "a.jpg",
+    b"RIFF": "a.webp",
+    b"v/1\x01": "a.exr",
+    b"II*\0": "a.tif",
+    b"MM\0*": "a.tif",
+    b"BM": "a.bmp",
+    b"GIF8": "a.gif",
+    b"DDS ": "a.dds",
+}
+
+
+def _guess_name(data: bytes, what: str) -> str:
+    for signature, name in _SIGNATURES.items():
         if data.startswith(signature):
             return name
-    return "a.png"
+    found = "a KTX2 file" if data.startswith(b"\xabKTX 20") else "no image of a known format"
+    raise InputError(f"{what} is {found}: save it as PNG, JPEG, TIFF or EXR")
 
 
 def write_image(path: Path, image: Image) -> None:

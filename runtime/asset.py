@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from runtime.errors import AssetError
 from runtime.gltf import Document, read_document
+from runtime.png import find_png_fault
 
 if TYPE_CHECKING:
     from runtime.clip import Clip
@@ -210,6 +211,9 @@ def _read_texels(path: Path, what: str, dtype: str, size: tuple[int, int]) -> ND
 
     if not path.is_file():
         raise AssetError(f"{what}: {path} is missing: {REBUILD}")
+    fault = find_png_fault(path.read_bytes())
+    if fault:
+        raise AssetError(f"{what}: {path} does not decode: {fault}: {REBUILD}")
     config = oiio.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
     reader = oiio.ImageInput.open(str(path), config)

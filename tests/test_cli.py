@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from builders_asset import build_ball
 from conftest import ROOT, asset
 
 
@@ -120,6 +121,11 @@ def test_check_refuses_a_changed_folder(built: Callable[[str], Path], tmp_path: 
     noise = np.random.default_rng(1).uniform(-0.2, 0.2, image.texels.shape)
     write_image(folder / "base_color.png", Image(np.clip(image.texels + noise, 0, 1), "uint8"))
     refused(preprocess("check", folder), "differ from the manifest", "base_color level 0")
+
+
+def test_check_refuses_a_manifest_without_claims(tmp_path: Path) -> None:
+    folder = build_ball(tmp_path / "ball.seamless", sizes=(3,), position_px=16, weight_px=8, color_px=16)
+    refused(preprocess("check", folder), "manifest.json lacks")
 
 
 @pytest.mark.slow

@@ -159,7 +159,7 @@ def test_bad_textures_are_refused(tmp_path: Path) -> None:
 
     with pytest.raises(InputError, match=r"missing\.png"):
         textured(source=0)
-    with pytest.raises(InputError, match="does not decode"):
+    with pytest.raises(InputError, match="no image of a known format"):
         textured(source=1)
     with pytest.raises(InputError, match="no image"):
         textured()

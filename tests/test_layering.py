@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-CROSSING = {f"runtime.{room}" for room in ("asset", "gltf", "skeleton", "clip", "keys", "pose", "bounds", "errors")}
+CROSSING = {f"runtime.{room}" for room in ("asset", "gltf", "skeleton", "clip", "keys", "pose", "bounds", "png", "errors")}
 
 
 def imported_modules(path: Path) -> set[str]:
