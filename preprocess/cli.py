@@ -6,11 +6,14 @@ Heavy modules are imported only once their command is known, so that help and re
 from __future__ import annotations
 
 import argparse
+import errno
 import importlib
 import logging
 import sys
 import traceback
 from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
 from typing import Any, NoReturn
 
 from preprocess.errors import InputError
@@ -24,6 +27,16 @@ COMMANDS = {
     "decimate": ("preprocess.decimate.command", "simplify a mesh and keep its seams exact"),
     "batch": ("preprocess.batch_command", "build many characters"),
     "check": ("preprocess.check", "measure a built character again, from its files alone"),
+}
+# Errors of the operating system that no file and no program is to blame for -> what to do.
+SURROUNDINGS = {
+    errno.ENOSPC: "make room, or name a folder on another disk with -o",
+    errno.EDQUOT: "make room, or name a folder on another disk with -o",
+    errno.EROFS: "name another folder with -o",
+    errno.EACCES: "change its permissions, or name another folder with -o",
+    errno.EPERM: "change its permissions, or name another folder with -o",
+    errno.ENAMETOOLONG: "choose a shorter name",
+    errno.EMFILE: "allow more open files (ulimit -n)",
 }
 USAGE = "python -m preprocess MODEL [-o DIR] [options]   or   python -m preprocess COMMAND ... (see -h)"
 
@@ -157,24 +170,46 @@ def main(arguments: Sequence[str]) -> int:
     try:
         return _run(list(arguments))
     except InputError as error:
-        print(f"preprocess: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+        return _refuse(str(error))
     except KeyboardInterrupt:
         print("preprocess: interrupted; nothing was written", file=sys.stderr)
         return 130
-    except Exception:
+    except Exception as error:
+        surroundings = _name_surroundings(error)
+        if surroundings:
+            return _refuse(surroundings)
         traceback.print_exc()
         print("preprocess: this is a fault of seamskin, not of your file; please report it", file=sys.stderr)
         return 1
+
+
+def _refuse(text: str) -> int:
+    print(f"preprocess: {' '.join(text.split())}", file=sys.stderr)
+    return 2
+
+
+def _name_surroundings(error: Exception) -> str | None:
+    """What the machine lacks, where that and no fault of the program stopped it; else None."""
+    if isinstance(error, MemoryError):
+        return "not enough memory: choose smaller sizes, or build on a larger machine"
+    if isinstance(error, OSError) and error.errno in SURROUNDINGS:
+        name = f"{Path(error.filename).name}: " if isinstance(error.filename, str) else ""
+        return f"{name}{error.strerror}: {SURROUNDINGS[error.errno]}"
+    return None
 
 
 def _run(arguments: list[str]) -> int:
     name = "build"
     if arguments and arguments[0] in COMMANDS:
         name = arguments.pop(0)
-    elif not arguments or arguments[0] in ("-h", "--help"):
+    elif not arguments:
+        raise InputError("no model: " + USAGE)
+    elif arguments[0] in ("-h", "--help"):
         _print_help()
-        return 0 if arguments else 2
+        return 0
+    elif arguments[0] == "--version":
+        print(f"seamskin {version('seamskin')}")
+        return 0
     module: Any = importlib.import_module(COMMANDS[name][0])
     prog = "python -m preprocess" + ("" if name == "build" else f" {name}")
     parser = _Parser(prog=prog, description=COMMANDS[name][1], allow_abbrev=False)

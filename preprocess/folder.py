@@ -47,8 +47,7 @@ def whole_folder(destination: Path) -> Iterator[Path]:
     Whatever stood at the destination stays untouched until then, also when the block fails or is interrupted.
     """
     parent = destination.absolute().parent
-    parent.mkdir(parents=True, exist_ok=True)
-    with _terminate_as_interrupt():
+    with _terminate_as_interrupt(), whole_parents(parent):
         partial = Path(tempfile.mkdtemp(prefix=f".{destination.name}.partial-", dir=parent))
         try:
             partial.chmod(0o755)
@@ -58,16 +57,41 @@ def whole_folder(destination: Path) -> Iterator[Path]:
             shutil.rmtree(partial, ignore_errors=True)
 
 
+@contextlib.contextmanager
+def whole_parents(folder: Path) -> Iterator[None]:
+    """Make a folder and those above it that are missing; take them away again if the block fails.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be made.
+    """
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder} cannot be made ({error.strerror}): name another folder with -o") from error
+    try:
+        yield
+    except BaseException:
+        with contextlib.suppress(OSError):  # somebody else has put something there meanwhile: it stays
+            for path in missing:
+                path.rmdir()
+        raise
+
+
 def _swap(partial: Path, destination: Path) -> None:
     if not destination.exists():
         partial.rename(destination)
         return
     previous = Path(tempfile.mkdtemp(prefix=f".{destination.name}.previous-", dir=partial.parent))
-    destination.rename(previous / destination.name)
+    kept = previous / destination.name
     try:
+        destination.rename(kept)
         partial.rename(destination)
-    except OSError:
-        (previous / destination.name).rename(destination)
+    except BaseException:  # an interrupt between the two too
+        if kept.exists() and not destination.exists():
+            kept.rename(destination)
         raise
     finally:
         shutil.rmtree(previous, ignore_errors=True)

@@ -80,7 +80,7 @@ def _decode(source: Path, what: str, native: bool) -> Image:
     config.attribute("oiio:UnassociatedAlpha", 1)
     reader = oiio.ImageInput.open(str(source), config)
     if reader is None:
-        message = (oiio.geterror() or "unknown format").splitlines()[0].replace(f' ("{source}")', "")
+        message = _reason(oiio.geterror(), source)
         raise InputError(f"{what} does not decode ({message}): save it as PNG, JPEG, TIFF or EXR")
     try:
         spec = reader.spec()
@@ -157,9 +157,16 @@ def write_image(path: Path, image: Image) -> None:
     if writer is None:
         raise InputError(f"cannot write {path.name}: use .png, .tif, .exr or .jpg")
     if not writer.open(str(path), spec):
-        raise InputError(f"cannot write {path}: {writer.geterror()}")
-    ok = writer.write_image(np.ascontiguousarray(data))
+        raise InputError(f"cannot write {path.name}: {_reason(writer.geterror(), path)}")
+    written = writer.write_image(np.ascontiguousarray(data))
     error = writer.geterror()
-    writer.close()
-    if not ok:
-        raise InputError(f"cannot write {path}: {error}")
+    if not writer.close() or not written:
+        raise InputError(f"cannot write {path.name}: {_reason(error or writer.geterror(), path)}")
+    if path.suffix.lower() == ".png" and find_png_fault(path.read_bytes()):  # a full disk goes unnoticed by libpng
+        raise InputError(f"cannot write {path.name}: the disk took a part of it alone: make room")
+
+
+def _reason(error: str, path: Path) -> str:
+    """OpenImageIO's first line on what went wrong, without the temporary folder that files are first written to."""
+    lines = error.splitlines() or ["for an unknown reason"]
+    return lines[0].replace(str(path), path.name)

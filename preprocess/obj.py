@@ -8,6 +8,7 @@ OBJ's v runs up; ours runs down.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import warnings
 from dataclasses import dataclass
@@ -234,7 +235,8 @@ def write_obj(path: Path, surface: TexturedSurface) -> None:
         partial.write_text("".join(parts), encoding="ascii")
         os.replace(partial, path)
     except OSError as error:
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # a folder that cannot be written to: nothing lies there
+            partial.unlink(missing_ok=True)
         raise InputError(f"{path}: cannot be written ({error.strerror}): choose another place") from error
 
 

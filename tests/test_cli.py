@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import itertools
 import json
 import struct
@@ -13,6 +14,8 @@ from pathlib import Path
 import pytest
 from builders_asset import build_ball
 from conftest import ROOT, asset
+
+from preprocess import cli
 
 
 def preprocess(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
@@ -137,3 +140,46 @@ def test_batch_builds_all_and_names_the_bad_one(tmp_path: Path) -> None:
     refused(done, "1 of 2")
     assert (tmp_path / "out" / "Fox.seamless" / "manifest.json").is_file()
     assert not (tmp_path / "out" / "bad.seamless").exists()
+
+
+def full_disk(folder: Path) -> OSError:
+    return OSError(errno.ENOSPC, "No space left on device", str(folder / "model.glb"))
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (full_disk(Path("somewhere")), ["model.glb: No space left on device: make room"]),
+        (MemoryError(), ["not enough memory"]),
+        (PermissionError(errno.EACCES, "Permission denied"), ["Permission denied", "permissions"]),
+    ],
+)
+def test_what_the_machine_lacks_is_no_fault_of_the_program(
+    error: Exception, words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(arguments: list[str]) -> int:
+        raise error
+
+    monkeypatch.setattr(cli, "_run", fail)
+    assert cli.main(["x.glb"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    for word in words:
+        assert word in said
+
+
+def test_a_fault_of_ours_is_told_from_a_bad_file(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(arguments: list[str]) -> int:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(cli, "_run", fail)
+    assert cli.main(["x.glb"]) == 1
+    assert "ZeroDivisionError" in capsys.readouterr().err
+
+
+def test_no_arguments_and_the_version() -> None:
+    refused(preprocess(), "no model")
+    done = preprocess("--version")
+    assert done.returncode == 0 and done.stdout.startswith("seamskin ")

@@ -40,3 +40,32 @@ def test_other_files_are_never_replaced(tmp_path: Path) -> None:
         check_destination(tmp_path)
     with pytest.raises(InputError, match="is a file"):
         check_destination(tmp_path / "thesis.tex")
+
+
+@pytest.mark.parametrize("error", [OSError, KeyboardInterrupt])
+def test_a_failed_swap_leaves_the_previous_result(
+    tmp_path: Path, error: type[BaseException], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The moment between moving the old result away and the new one in."""
+    target = tmp_path / "fox.seamless"
+    with whole_folder(target) as folder:
+        fill(folder, "one")
+    rename = Path.rename
+
+    def fail(path: Path, to: Path) -> Path:
+        if ".partial-" in path.name:
+            raise error
+        return rename(path, to)
+
+    monkeypatch.setattr(Path, "rename", fail)
+    with pytest.raises(error), whole_folder(target) as folder:
+        fill(folder, "two")
+    assert (target / "manifest.json").read_text() == "one"
+    assert [p.name for p in tmp_path.iterdir()] == ["fox.seamless"]
+
+
+def test_a_failed_build_leaves_no_folders_above(tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    with pytest.raises(ValueError, match="bad"), whole_folder(tmp_path / "there" / "deep" / "deeper" / "a.seamless"):
+        raise ValueError("bad")
+    assert [p.name for p in tmp_path.rglob("*")] == ["there"]

@@ -98,3 +98,17 @@ def test_foreign_bytes_are_named(data: bytes, says: str, capfd: pytest.CaptureFi
         read_image(data, "the skin")
     assert "\n" not in str(caught.value) and "tmp" not in str(caught.value)
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_picture_that_only_partly_reaches_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """libpng does not notice a full disk: the file is read back, and its path in a temporary folder left out."""
+    monkeypatch.setattr("preprocess.images.find_png_fault", lambda data: "it is cut short")
+    with pytest.raises(InputError, match=r"^cannot write a\.png: .*make room"):
+        write_image(tmp_path / "a.png", Image(np.zeros((4, 4, 3), np.uint8)))
+
+
+def test_a_folder_that_does_not_exist(tmp_path: Path) -> None:
+    for extension in ("png", "exr"):
+        with pytest.raises(InputError, match=rf"^cannot write a\.{extension}: ") as caught:
+            write_image(tmp_path / "nowhere" / f"a.{extension}", Image(np.zeros((4, 4, 3), np.float32), "float"))
+        assert str(tmp_path) not in str(caught.value)

@@ -21,6 +21,7 @@ from preprocess.erase.options import GLOBAL, LOCAL, EraseOptions
 from preprocess.erase.plan import plan_erasure
 from preprocess.erase.strip import SeamMeasure
 from preprocess.errors import InputError
+from preprocess.folder import whole_parents
 from preprocess.images import Image, read_image, write_image
 from preprocess.mesh import TexturedSurface
 from preprocess.seams import Seams, find_seams
@@ -256,23 +257,20 @@ def run(arguments: argparse.Namespace) -> None:
     if not len(job.seams.vertices):
         print(f"note: {arguments.mesh.name} has no seams: images are copied as they are")
     folder = paths[0].absolute().parent
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
+    with whole_parents(folder):
         partial = Path(tempfile.mkdtemp(prefix=".erase.partial-", dir=folder))
-    except OSError as error:
-        raise InputError(f"{folder} cannot be written to ({error.strerror}): name another place with -o") from error
-    try:
-        made: list[Path] = []
-        for source, path in zip(arguments.images, paths, strict=True):
-            image = _read_texels(source)
-            levels = job.erase(image, source.name)
-            if not len(job.seams.vertices) and len(levels) == 1 and source.suffix == path.suffix:
-                shutil.copyfile(source, partial / path.name)
-                made.append(Path(path.name))
-                continue
-            made += [_write_level(partial, path, number, level) for number, level in enumerate(levels)]
-        for relative in made:
-            (folder / relative).parent.mkdir(exist_ok=True)
-            os.replace(partial / relative, folder / relative)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+        try:
+            made: list[Path] = []
+            for source, path in zip(arguments.images, paths, strict=True):
+                image = _read_texels(source)
+                levels = job.erase(image, source.name)
+                if not len(job.seams.vertices) and len(levels) == 1 and source.suffix == path.suffix:
+                    shutil.copyfile(source, partial / path.name)
+                    made.append(Path(path.name))
+                    continue
+                made += [_write_level(partial, path, number, level) for number, level in enumerate(levels)]
+            for relative in made:
+                (folder / relative).parent.mkdir(exist_ok=True)
+                os.replace(partial / relative, folder / relative)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
