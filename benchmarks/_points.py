@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from typing import Any
+
 import moderngl
 import numpy as np
 
@@ -15,7 +17,7 @@ from runtime.actor import Actor
 from runtime.camera import Camera
 from runtime.gpu_asset import Model
 from runtime.gpu_textures import TEXTURE_UNITS
-from runtime.programs import assemble, set_uniforms
+from runtime.programs import assemble, remember_members, set_uniforms
 from runtime.renderer import Renderer
 
 MIN_VERSION_CODE = 430
@@ -47,8 +49,9 @@ def capture_program(ctx: moderngl.Context, defines: Mapping[str, str | int]) -> 
         tess_evaluation_shader=texts["patch.tese"],
         fragment_shader=texts["depth.frag"],
     )
-    program.extra = {name: program[name] for name in program}
-    program.extra["Points"].binding, program.extra["Frame"].binding = STORAGE_BINDING, 0
+    remember_members(program)
+    blocks: Any = program
+    blocks["Points"].binding, blocks["Frame"].binding = STORAGE_BINDING, 0
     set_uniforms(program, TEXTURE_UNITS)
     return program
 

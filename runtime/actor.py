@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Protocol
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from runtime.bounds import pose_bounds
+from runtime.bounds import JointBoxes
 from runtime.clip import Clip
 from runtime.mixer import Mixer
 
@@ -246,7 +247,7 @@ class Actor:
     @property
     def bounds(self) -> Floats:
         """Box that holds the current pose, (2, 3) float32, object space, metres."""
-        result: Floats = pose_bounds(self._mixer.joint_rows(self.row), joint_boxes_of(self.model))[0]
+        result: Floats = carrier_of(self.model).around(self._mixer.joint_rows(self.row))[0]
         return result
 
     def release(self) -> None:
@@ -270,6 +271,17 @@ def joint_boxes_of(model: ModelLike) -> NDArray[np.float64]:
     return np.array(boxes, dtype=np.float64).reshape(-1, 2, 3)
 
 
+def carrier_of(model: ModelLike) -> JointBoxes:
+    """A model's joint boxes, ready to be carried by poses (made once a model)."""
+    carrier = _CARRIERS.get(model.mixer)
+    if carrier is None:
+        carrier = _CARRIERS[model.mixer] = JointBoxes(joint_boxes_of(model))
+    return carrier
+
+
+_CARRIERS: WeakKeyDictionary[Mixer, JointBoxes] = WeakKeyDictionary()
+
+
 @dataclass(frozen=True)
 class ActorBatch:
     """All visible actors of one model, ready to draw.
@@ -277,7 +289,7 @@ class ActorBatch:
     Attributes
     ----------
     actors : tuple of A Actor
-    transforms : (A, 4, 4) float32
+    transforms : (A, 4, 4) float64
     joint_rows : (A, J, 3, 4) float32, contiguous
     bounds : (A, 2, 3) float32
         Box of each actor's pose, object space.
@@ -285,7 +297,7 @@ class ActorBatch:
     """
 
     actors: tuple[Actor, ...]
-    transforms: NDArray[np.float32]
+    transforms: NDArray[np.float64]
     joint_rows: Floats
     bounds: Floats
     tints: NDArray[np.float32]
@@ -308,7 +320,7 @@ def gather(actors: Iterable[Actor]) -> list[tuple[Any, ActorBatch]]:
     listed = [actor for actor in tuple(actors) if actor.visible and not actor.released]
     if not listed:
         return []
-    transforms = np.array([actor.transform for actor in listed], dtype=np.float64)
+    transforms = np.array([actor._transform for actor in listed], dtype=np.float64)
     if not np.isfinite(transforms).all():
         broken = int(np.flatnonzero(~np.isfinite(transforms).all(axis=(1, 2)))[0])
         raise ValueError(f"the transform of actor {broken} of those to draw is not finite; check what sets it")
@@ -322,10 +334,10 @@ def gather(actors: Iterable[Actor]) -> list[tuple[Any, ActorBatch]]:
         rows = model.mixer.joint_rows([actor.row for actor in group])
         batch = ActorBatch(
             actors=group,
-            transforms=transforms[members].astype(np.float32),
+            transforms=transforms[members],
             joint_rows=rows,
-            bounds=pose_bounds(rows, joint_boxes_of(model)),
-            tints=np.array([actor.tint for actor in group], dtype=np.float32),
+            bounds=carrier_of(model).around(rows),
+            tints=np.array([actor._tint for actor in group]),
         )
         batches.append((model, batch))
     return batches

@@ -82,6 +82,42 @@ def joint_boxes(
     return boxes
 
 
+class JointBoxes:
+    """Boxes of the joints that move something, ready to be carried by any number of poses.
+
+    Parameters
+    ----------
+    boxes : (J, 2, 3) float64
+        From `joint_boxes`.
+    """
+
+    def __init__(self, boxes: NDArray[np.float64]) -> None:
+        used = np.flatnonzero(np.isfinite(boxes).all(axis=(1, 2)))
+        self.used: NDArray[np.int64] | None = None if len(used) == len(boxes) else used
+        centres = np.ones((len(used), 4))  # with a one, for the translation
+        centres[:, :3] = boxes[used].mean(axis=1)
+        halves = np.ptp(boxes[used], axis=1) / 2
+        self._exact = centres, halves
+        self._single = centres.astype(np.float32), halves.astype(np.float32)
+
+    def carried(self, matrices: Floats) -> tuple[Floats, Floats]:
+        """Lower and upper corners of every used joint's box, carried by (A, J, 3, 4) matrices: (A, J used, 3) each."""
+        kept = matrices if self.used is None else matrices[:, self.used]
+        centres, halves = self._single if matrices.dtype == np.float32 else self._exact
+        middle = np.einsum("ajrc,jc->ajr", kept, centres)
+        reach = np.einsum("ajrc,jc->ajr", np.abs(kept[..., :3]), halves)
+        return middle - reach, middle + reach
+
+    def around(self, matrices: Floats) -> Floats:
+        """Box of the skinned mesh of each pose, (A, 2, 3); zeros where no joint moves anything."""
+        result = np.zeros((len(matrices), 2, 3), matrices.dtype)
+        if len(self._exact[0]):
+            low, high = self.carried(matrices)
+            low.min(axis=1, out=result[:, 0])
+            high.max(axis=1, out=result[:, 1])
+        return result
+
+
 def pose_bounds(matrices: Floats, boxes: NDArray[np.float64]) -> Floats:
     """Box of the skinned mesh of each of A poses.
 
@@ -96,22 +132,7 @@ def pose_bounds(matrices: Floats, boxes: NDArray[np.float64]) -> Floats:
     -------
     (A, 2, 3) float, object space; zeros where no joint moves anything
     """
-    carried = _carried_boxes(matrices, boxes)
-    if not carried.shape[1]:
-        return np.zeros((len(matrices), 2, 3), dtype=matrices.dtype)
-    return np.stack([carried[:, :, 0].min(axis=1), carried[:, :, 1].max(axis=1)], axis=1)
-
-
-def _carried_boxes(matrices: Floats, boxes: NDArray[np.float64]) -> Floats:
-    """Box of every used joint's vertices, carried by the joint: (A, J used, 2, 3)."""
-    used = np.flatnonzero(np.isfinite(boxes).all(axis=(1, 2)))
-    kept = matrices if len(used) == matrices.shape[1] else matrices[:, used]
-    columns = [kept[:, :, :3, axis] for axis in range(4)]
-    centre = boxes[used].mean(axis=1).astype(matrices.dtype)[:, :, None]
-    half = (np.ptp(boxes[used], axis=1) / 2).astype(matrices.dtype)[:, :, None]
-    middle = columns[0] * centre[:, 0] + columns[1] * centre[:, 1] + columns[2] * centre[:, 2] + columns[3]
-    reach = np.abs(columns[0]) * half[:, 0] + np.abs(columns[1]) * half[:, 1] + np.abs(columns[2]) * half[:, 2]
-    return np.stack([middle - reach, middle + reach], axis=2)
+    return JointBoxes(boxes).around(matrices[:, :, :3])
 
 
 @dataclass(frozen=True)
@@ -262,11 +283,11 @@ def clip_bounds(skeleton: Skeleton, clip: Clip, boxes: NDArray[np.float64]) -> N
     reaches = np.zeros(skeleton.num_joints)
     reaches[used] = np.linalg.norm(local, axis=2).max(axis=1)
 
-    box = np.zeros((2, 3))
+    box, carrier = np.zeros((2, 3)), JointBoxes(boxes)
     for doubling in range(_MAX_DOUBLINGS + 1):
         starts, ends = _sample_times(clip, 2**doubling)
-        first = _carried_boxes(skinning_rows(skeleton, sample(clip, skeleton, starts)), boxes)
-        last = _carried_boxes(skinning_rows(skeleton, sample(clip, skeleton, ends)), boxes)
+        first = np.stack(carrier.carried(skinning_rows(skeleton, sample(clip, skeleton, starts))), axis=2)
+        last = np.stack(carrier.carried(skinning_rows(skeleton, sample(clip, skeleton, ends))), axis=2)
         accelerations, radii = _accelerations(skeleton, clip, (starts + ends) / 2, reaches)
         stray = np.minimum((ends - starts) ** 2 / 8 * accelerations, 2 * radii)[used].T[:, :, None]
         # Left limits are taken one rounding step early, and sums round: a hair covers both.

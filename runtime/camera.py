@@ -5,7 +5,8 @@ Positions reach the GPU relative to the eye (float64 here, float32 there), so wo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,11 +20,28 @@ FAR_OF_DISTANCE = 1e3
 FRAMING_DIRECTION = (0.42, 0.16, 1.0)  # a little from the side and above: shows depth without hiding the face
 
 
-def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Cross product of two vectors; NumPy's takes ten times as long."""
-    ax, ay, az = a.tolist()
-    bx, by, bz = b.tolist()
-    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+Vector = tuple[float, float, float]
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    """Cross product of two vectors: single vectors are quicker as plain numbers than as arrays."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def _vector(numbers: ArrayLike) -> Vector:
+    """Three finite numbers.
+
+    Raises
+    ------
+    RenderError
+    """
+    try:
+        x, y, z = (float(number) for number in numbers)  # type: ignore[union-attr, arg-type]
+    except (TypeError, ValueError):
+        x = y = z = math.nan
+    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+        raise RenderError("the camera's eye, target and up must be three finite numbers each")
+    return x, y, z
 
 
 @dataclass(frozen=True)
@@ -38,23 +56,43 @@ class CameraMatrices:
         World axes to view axes.
     projection : (4, 4) float64
         View to clip space, OpenGL's depth from -1 to 1.
+    clip_from_world : (4, 4) float64
+        World axes with the origin at the eye to clip space.
+    probes : (9, 4) float64
+        Nine linear functions of a point seen from the eye: six that are negative beyond a side of the view, then the
+        point's depth and its places along the view's two other axes.
     """
 
     eye: NDArray[np.float64]
     rotation: Matrix
     projection: Matrix
+    clip_from_world: Matrix = field(init=False)
+    probes: Matrix = field(init=False)
+
+    def __post_init__(self) -> None:
+        clip, probes = self.projection.copy(), np.zeros((9, 4))
+        clip[:, :3] = self.projection[:, :3] @ self.rotation
+        np.add(clip[3], clip[:3], out=probes[:3])
+        np.subtract(clip[3], clip[:3], out=probes[3:6])
+        probes[6, :3] = -self.rotation[2]
+        probes[7:, :3] = self.rotation[:2]
+        object.__setattr__(self, "clip_from_world", clip)
+        object.__setattr__(self, "probes", probes)
 
     @property
     def is_perspective(self) -> bool:
         """Whether size shrinks with distance."""
         return bool(self.projection[3, 2] != 0.0)
 
+    def focal_px(self, width: int, height: int) -> float:
+        """Pixels that a metre covers at depth one, or anywhere without perspective, along the longer way."""
+        return max(abs(float(self.projection[0, 0])) * width, abs(float(self.projection[1, 1])) * height) / 2
+
     @property
-    def clip_from_world(self) -> Matrix:
-        """World axes with the origin at the eye to clip space, (4, 4) float64."""
-        view = np.eye(4)
-        view[:3, :3] = self.rotation
-        return self.projection @ view
+    def widest_sq(self) -> float:
+        """Square of the tangent of the largest angle off the axis that is in the picture."""
+        (x, _, aside, _), (_, y, above, _) = self.projection[:2].tolist()
+        return float(((1 + abs(aside)) / x) ** 2 + ((1 + abs(above)) / y) ** 2)
 
 
 @dataclass(frozen=True)
@@ -85,30 +123,30 @@ class Camera:
         RenderError
             If eye and target coincide, a number is not finite, or the angle or the distances make no sense.
         """
-        eye, target, up = (np.asarray(point, np.float64) for point in (self.eye, self.target, self.up))
-        if not all(point.shape == (3,) and np.isfinite(point).all() for point in (eye, target, up)):
-            raise RenderError("the camera's eye, target and up must be three finite numbers each")
+        eye, target, up = _vector(self.eye), _vector(self.target), _vector(self.up)
         if not 0.0 < self.fovy_deg < 180.0:
             raise RenderError(f"the camera's field of view is {self.fovy_deg} degrees: it must lie between 0 and 180")
-        forward = target - eye
-        distance = float(np.linalg.norm(forward))
+        distance = math.dist(eye, target)
         if distance == 0.0:
             raise RenderError("the camera's eye and target are the same point: move one of them")
         near = NEAR_OF_DISTANCE * distance if self.near_m is None else float(self.near_m)
         far = FAR_OF_DISTANCE * distance if self.far_m is None else float(self.far_m)
-        if not 0.0 < near < far < np.inf:
+        if not 0.0 < near < far < math.inf:
             raise RenderError(
                 f"the camera's near and far planes are at {near} and {far} m: near must be positive and less"
             )
-        forward = forward / distance
+        x, y, z = ((end - start) / distance for start, end in zip(eye, target))
+        forward: Vector = (x, y, z)
         right = _cross(forward, up)
-        if np.linalg.norm(right) < 1e-9 * max(float(np.linalg.norm(up)), 1e-30):  # straight up or down
-            right = _cross(forward, np.array([0.0, 0.0, -1.0 if forward[1] > 0 else 1.0]))
-            if np.linalg.norm(right) < 1e-9:
-                right = np.array([1.0, 0.0, 0.0])
-        right /= np.linalg.norm(right)
-        rotation = np.array([right, _cross(right, forward), -forward])
-        return CameraMatrices(eye, rotation, perspective(self.fovy_deg, width / max(height, 1), near, far))
+        length = math.hypot(*right)
+        if length < 1e-9 * max(math.hypot(*up), 1e-30):  # straight up or down
+            right = _cross(forward, (0.0, 0.0, -1.0 if y > 0 else 1.0))
+            length = math.hypot(*right)
+            if length < 1e-9:
+                right, length = (1.0, 0.0, 0.0), 1.0
+        right = right[0] / length, right[1] / length, right[2] / length
+        rotation = np.array([right, _cross(right, forward), (-x, -y, -z)])
+        return CameraMatrices(np.array(eye), rotation, perspective(self.fovy_deg, width / max(height, 1), near, far))
 
 
 @dataclass(frozen=True)
@@ -146,12 +184,15 @@ class MatrixCamera:
 
 def perspective(fovy_deg: float, aspect: float, near_m: float, far_m: float) -> Matrix:
     """OpenGL's perspective projection, (4, 4) float64."""
-    focal = 1.0 / np.tan(np.radians(fovy_deg) / 2)
-    matrix = np.zeros((4, 4))
-    matrix[0, 0], matrix[1, 1] = focal / aspect, focal
-    matrix[2, 2], matrix[2, 3] = (far_m + near_m) / (near_m - far_m), 2 * far_m * near_m / (near_m - far_m)
-    matrix[3, 2] = -1.0
-    return matrix
+    focal, depth = 1.0 / math.tan(math.radians(fovy_deg) / 2), near_m - far_m
+    return np.array(
+        [
+            [focal / aspect, 0.0, 0.0, 0.0],
+            [0.0, focal, 0.0, 0.0],
+            [0.0, 0.0, (far_m + near_m) / depth, 2 * far_m * near_m / depth],
+            [0.0, 0.0, -1.0, 0.0],
+        ]
+    )
 
 
 def framing(

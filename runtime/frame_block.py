@@ -31,6 +31,8 @@ class FrameBlock:
         self.ctx = ctx
         self._block = ctx.buffer(reserve=16 * FRAME_ROWS, dynamic=True)
         self._reflection: moderngl.Texture | None = None
+        self._words = np.zeros((FRAME_ROWS, 4), np.float32)
+        self._written: Lighting | None = None
         self.upload_lighting(lighting)
 
     def upload_lighting(self, lighting: Lighting) -> None:
@@ -49,18 +51,18 @@ class FrameBlock:
         self, matrices: CameraMatrices, size_px: tuple[int, int], lighting: Lighting, quality: Quality, factor: float
     ) -> None:
         """Fill the block for a picture; `factor` divides every tessellated edge, 0 for as its length on screen asks."""
-        width, height = size_px
-        sun = np.asarray(lighting.sun_direction, np.float64)
-        frame = np.zeros((FRAME_ROWS, 4), np.float32)
+        frame = self._words
         frame[0:4] = matrices.clip_from_world.T
         frame[4, :3] = matrices.eye
-        focal_px = max(matrices.projection[0, 0] * width, matrices.projection[1, 1] * height) / 2
-        frame[5] = width, height, focal_px, float(matrices.is_perspective)
-        frame[6, :3] = sun / max(float(np.linalg.norm(sun)), 1e-30)
-        frame[7] = *lighting.sun_color, lighting.exposure
-        frame[8:17, :3] = lighting.environment.irradiance
+        frame[5] = *size_px, matrices.focal_px(*size_px), float(matrices.is_perspective)
+        if lighting is not self._written:
+            sun = np.asarray(lighting.sun_direction, np.float64)
+            frame[6, :3] = sun / max(float(np.linalg.norm(sun)), 1e-30)
+            frame[7] = *lighting.sun_color, lighting.exposure
+            frame[8:17, :3] = lighting.environment.irradiance
+            self._written = lighting
         frame[17] = quality.segment_px, MAX_FACTOR, factor, quality.texels_a_segment
-        self._block.write(frame.tobytes())
+        self._block.write(frame)
 
     def bind(self) -> None:
         """Put block and map where all programs expect them."""

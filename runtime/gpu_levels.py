@@ -95,6 +95,7 @@ class Levels:
     def __init__(self, ctx: moderngl.Context, asset: Asset) -> None:
         self.ctx, self.asset = ctx, asset
         self.lods: tuple[GpuLod, ...] = ()
+        self.errors_m = np.zeros(0)
         self._owned: list[moderngl.Buffer] = []
         self._line_buffers: dict[int, moderngl.Buffer] = {}
         self._edge_texels: dict[int, float] = {}
@@ -116,6 +117,7 @@ class Levels:
             index_size=2 if len(mesh.uvs) <= 0xFFFF else 4,
         )
         self.lods = (*self.lods, lod)
+        self.errors_m = np.array([lod.mesh.error_m for lod in self.lods])
 
     def patches(self, level: int) -> moderngl.Buffer:
         """Index buffer of a level's patches, nine a triangle (made when first asked for)."""

@@ -36,63 +36,58 @@ class Quality:
     texels_a_segment: float = 1.0
 
 
-def corners_of(boxes: Floats) -> NDArray[np.float64]:
-    """The eight corners of boxes, (A, 2, 3) to (A, 8, 3) float64."""
-    picks = np.array([[(corner >> axis) & 1 for axis in range(3)] for corner in range(8)])
-    return np.asarray(boxes, np.float64)[:, picks, np.arange(3)]
+@dataclass(frozen=True)
+class Sight:
+    """What a camera sees of some boxes.
+
+    Attributes
+    ----------
+    visible : (A,) bool
+        False where a box lies wholly beyond one side of the view.
+    pixels_a_metre : (A,) float64
+        Largest size in pixels that a displacement of one metre, object space, can have in the picture; infinite where
+        the camera's plane cuts the box.
+    """
+
+    visible: NDArray[np.bool_]
+    pixels_a_metre: NDArray[np.float64]
 
 
-def transform_boxes(boxes: Floats, transforms: Floats) -> NDArray[np.float64]:
-    """Corners of object-space boxes in the world: (A, 2, 3) and (A, 4, 4) to (A, 8, 3) float64."""
-    matrices = np.asarray(transforms, np.float64)
-    return corners_of(boxes) @ matrices[:, :3, :3].transpose(0, 2, 1) + matrices[:, None, :3, 3]
-
-
-def visible(corners: Floats, camera: CameraMatrices) -> NDArray[np.bool_]:
-    """Which boxes may be seen: not all eight corners beyond one side of the view. (A, 8, 3) to (A,) bool."""
-    seen_from_eye = corners - camera.eye
-    clip = seen_from_eye @ camera.clip_from_world[:, :3].T + camera.clip_from_world[:, 3]
-    position, limit = clip[..., :3], clip[..., 3:]
-    beyond = np.all(position < -limit, axis=1) | np.all(position > limit, axis=1)
-    inside: NDArray[np.bool_] = ~np.any(beyond, axis=1)
-    return inside
-
-
-def pixels_per_metre(
-    corners: Floats, transforms: Floats, camera: CameraMatrices, height_px: int
-) -> NDArray[np.float64]:
-    """Largest size in pixels that a displacement of one metre (object space) of each actor can have in the picture.
+def look_at(boxes: Floats, transforms: NDArray[np.float64], camera: CameraMatrices, size_px: tuple[int, int]) -> Sight:
+    """See which boxes are in view, and how large a metre of each can be on the screen.
 
     A displacement `d` at view depth `z`, seen at an angle `t` off the axis, covers at most `d f / (z cos t)` pixels,
-    with `f` the focal length in pixels: across the axis it covers `d f / z`, along it `d tan(t) f / z`.
+    with `f` the focal length in pixels: across the axis it covers `d f / z`, along it `d tan(t) f / z`. Depth and
+    angle are bounded by the turned box's own reach along the view's axes.
 
     Parameters
     ----------
-    corners : (A, 8, 3) float
-        Of the actors' boxes in the world.
-    transforms : (A, 4, 4) float
+    boxes : (A, 2, 3) float
+        Object space.
+    transforms : (A, 4, 4) float64
+        Object space to world.
     camera : CameraMatrices
-    height_px : int
-
-    Returns
-    -------
-    (A,) float64, infinite where the camera is inside the box
+    size_px : width and height of the picture
     """
-    scale = np.linalg.norm(np.asarray(transforms, np.float64)[:, :3, :3], axis=(1, 2), ord=2)
-    focal_px = camera.projection[1, 1] * height_px / 2
+    linear = transforms[:, :3, :3]
+    half = (boxes[:, 1] - boxes[:, 0]) * 0.5
+    centre = np.matmul(linear, (boxes[:, 0] + half)[:, :, None])[:, :, 0] + transforms[:, :3, 3] - camera.eye
+    probes = camera.probes
+    middle = centre @ probes[:, :3].T + probes[:, 3]
+    reach = np.abs(probes[:, :3] @ (linear * half[:, None])).sum(axis=2)
+    farthest = middle + reach
+    seen = (farthest[:, :6] >= 0.0).all(axis=1)
+    # The largest stretch of a matrix is at most the root of the largest row sum of its Gram matrix; equal where it
+    # turns and scales evenly.
+    scale = np.sqrt(np.abs(linear.transpose(0, 2, 1) @ linear).sum(axis=2).max(axis=1))
+    scale *= camera.focal_px(*size_px)
     if not camera.is_perspective:
-        return scale * focal_px
-    seen = (corners - camera.eye) @ camera.rotation.T
-    depth = -seen[..., 2]
-    nearest = depth.min(axis=1)
-    half_picture = 1.0 / np.array([camera.projection[0, 0], camera.projection[1, 1]])
-    widest = float(np.hypot(*half_picture))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        off_axis = np.where(
-            nearest > 0, (np.hypot(seen[..., 0], seen[..., 1]) / np.maximum(depth, 1e-300)).max(axis=1), widest
-        )
-        across = np.sqrt(1.0 + np.minimum(off_axis, widest) ** 2)
-        return np.where(nearest > 0, scale * focal_px * across / np.maximum(nearest, 1e-300), np.inf)
+        return Sight(seen, scale)
+    nearest = middle[:, 6] - reach[:, 6]
+    aside = np.abs(middle[:, 7:]) + reach[:, 7:]
+    in_front = np.maximum(nearest, 1e-30)
+    off_axis_sq = np.minimum((aside**2).sum(axis=1) / in_front**2, camera.widest_sq)
+    return Sight(seen, np.where(nearest > 0.0, scale * np.sqrt(1.0 + off_axis_sq) / in_front, np.inf))
 
 
 def choose_levels(
@@ -114,16 +109,18 @@ def choose_levels(
     -------
     (A,) int64
     """
-    # A level's error is the largest of its own and all finer ones', so that the choice is monotonic in distance.
+    errors = monotonic_errors(errors_m)
+    allowed_m = threshold_px / np.maximum(pixels_a_metre, 1e-300)
+    finest = np.searchsorted(errors, allowed_m, side="right") - 1  # NaN sorts last: nothing is known, nothing differs
+    coarser = np.searchsorted(errors, allowed_m * (1 - HYSTERESIS), side="right") - 1
+    return np.where(previous < 0, finest, np.minimum(finest, np.maximum(coarser, previous)))
+
+
+def monotonic_errors(errors_m: Floats) -> NDArray[np.float64]:
+    """Errors of levels, each the largest of its own and all finer ones', so that choices are monotonic in distance.
+
+    The finest is allowed always: its error counts as nothing.
+    """
     errors = np.maximum.accumulate(np.asarray(errors_m, np.float64))
-    errors[0] = 0.0  # the finest is allowed always
-    with np.errstate(invalid="ignore"):
-        error_px = np.nan_to_num(
-            errors[None, :] * np.asarray(pixels_a_metre, np.float64)[:, None], nan=0.0, posinf=np.inf
-        )
-    allowed = np.where(
-        np.arange(len(errors)) > np.where(previous < 0, len(errors), previous)[:, None], 1 - HYSTERESIS, 1.0
-    )
-    good = error_px <= threshold_px * allowed
-    good[:, 0] = True
-    return len(errors) - 1 - np.argmax(good[:, ::-1], axis=1)
+    errors[0] = 0.0
+    return errors

@@ -17,7 +17,7 @@ from runtime.camera import CameraMatrices
 from runtime.errors import RenderError
 from runtime.gpu_asset import Model
 from runtime.gpu_levels import INSTANCE
-from runtime.lod import Quality, choose_levels, pixels_per_metre, transform_boxes, visible
+from runtime.lod import Quality, choose_levels, look_at
 
 if TYPE_CHECKING:
     from runtime.actor import Actor
@@ -40,7 +40,7 @@ class Group:
     model : Model
     level : int
     tessellated, mirrored : bool
-    records : (A,) of `INSTANCE`
+    records : (A, 18) float32, the words of `INSTANCE`
     """
 
     model: Model
@@ -61,7 +61,7 @@ class Wish:
 
     Attributes
     ----------
-    height_px : int
+    size_px : width and height of the picture
     lod : int or None
         One level for all, None to choose.
     tessellation : "auto", "off" or number
@@ -70,7 +70,7 @@ class Wish:
     quality : Quality
     """
 
-    height_px: int
+    size_px: tuple[int, int]
     lod: int | None
     tessellation: float | str
     has_tessellation: bool
@@ -108,39 +108,37 @@ def place(
     groups to draw, and what was decided for each actor
     """
     refuse_broken_poses(model, batch)
-    transforms = np.array([actor.transform for actor in batch.actors], np.float64)
-    corners = transform_boxes(batch.bounds, transforms)
-    seen = visible(corners, matrices)
-    scale_px = pixels_per_metre(corners, transforms, matrices, wish.height_px)
-    errors = np.array([level.mesh.error_m for level in model.lods])
+    transforms = batch.transforms
+    sight = look_at(batch.bounds, transforms, matrices, wish.size_px)
+    errors, seen = model.levels.errors_m, sight.visible
     if wish.lod is None:
         previous = np.array([levels_before.get(actor, -1) for actor in batch.actors])
-        levels = choose_levels(errors, scale_px, wish.quality.threshold_px, previous)
+        levels = choose_levels(errors, sight.pixels_a_metre, wish.quality.threshold_px, previous)
     else:
         levels = np.full(len(batch.actors), wish.lod)
-    if isinstance(wish.tessellation, str):
-        with np.errstate(invalid="ignore"):
-            too_coarse = np.nan_to_num(errors[levels] * scale_px) > wish.quality.threshold_px
-        tessellated = too_coarse & (levels > 0) & (wish.tessellation == "auto") & wish.has_tessellation
-    else:
+    if not isinstance(wish.tessellation, str):
         tessellated = np.ones(len(levels), bool)
+    elif wish.tessellation == "auto" and wish.has_tessellation and wish.lod:
+        tessellated = np.minimum(sight.pixels_a_metre, 1e300) * errors[levels] > wish.quality.threshold_px
+    else:
+        tessellated = np.zeros(len(levels), bool)
     drawn = {}
-    for index, actor in enumerate(batch.actors):
-        if seen[index] and wish.lod is None:
-            levels_before[actor] = int(levels[index])
-        drawn[actor] = DrawnActor(int(levels[index]) if seen[index] else -1, bool(tessellated[index]))
+    for actor, level, is_seen, divided in zip(batch.actors, levels.tolist(), seen.tolist(), tessellated.tolist()):
+        if is_seen and wish.lod is None:
+            levels_before[actor] = level
+        drawn[actor] = DrawnActor(level if is_seen else -1, divided)
     if not seen.any():
         return [], drawn
-    records = np.zeros(len(levels), INSTANCE)
-    records["rows"] = transforms[:, :3]
-    records["rows"][:, :, 3] = transforms[:, :3, 3] - matrices.eye
-    records["tint"] = batch.tints
-    records["numbers"][:, 0] = np.arange(len(levels))
-    records["numbers"][:, 1] = levels
-    mirrored = np.linalg.det(transforms[:, :3, :3]) < 0
-    keys = levels * 4 + tessellated * 2 + mirrored
-    groups = [
-        Group(model, int(key) >> 2, bool(key & 2), bool(key & 1), records[seen & (keys == key)])
-        for key in np.unique(keys[seen])
-    ]
+    records = np.empty((len(levels), INSTANCE.itemsize // 4), np.float32)
+    records[:, :12] = transforms[:, :3].reshape(-1, 12)
+    records[:, 3:12:4] = transforms[:, :3, 3] - matrices.eye
+    records[:, 12:16] = batch.tints
+    numbers = records.view(np.int32)
+    numbers[:, 16] = np.arange(len(levels))
+    numbers[:, 17] = levels
+    keys = levels * 4 + tessellated * 2 + (np.linalg.det(transforms[:, :3, :3]) < 0)
+    groups = []
+    for key in sorted(set(keys[seen].tolist())):
+        together = records[seen & (keys == key)]
+        groups.append(Group(model, key >> 2, bool(key & 2), bool(key & 1), together))
     return groups, drawn

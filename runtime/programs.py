@@ -151,6 +151,22 @@ def require_version(ctx: moderngl.Context) -> None:
         )
 
 
+@dataclass(frozen=True)
+class _Members:
+    """A program's uniforms, blocks and attributes by name, and the values that uniforms were given last."""
+
+    uniforms: dict[str, Any]
+    held: dict[str, Any]
+
+
+_PLAIN = (tuple, float, int)  # values that can be compared
+
+
+def remember_members(program: moderngl.Program) -> None:
+    """Let `set_uniforms` work on a program that was made elsewhere."""
+    program.extra = _Members({name: program[name] for name in program}, {})
+
+
 def build_program(
     ctx: moderngl.Context,
     stages: Sequence[str],
@@ -186,19 +202,28 @@ def build_program(
         program = ctx.program(**texts)
     except Exception as error:  # moderngl raises its bare Error for every failure here
         raise RenderError(_explain_failure(str(error), sources)) from None
-    program.extra = {name: program[name] for name in program}
+    remember_members(program)
     for block, binding in UNIFORM_BLOCKS.items():
-        if block in program.extra:
-            program.extra[block].binding = binding
+        if block in program.extra.uniforms:
+            program.extra.uniforms[block].binding = binding
     return program
 
 
 def set_uniforms(program: moderngl.Program, values: Mapping[str, Any]) -> None:
-    """Set those of the named uniforms that the program has. It must come from `build_program`."""
-    members = program.extra
+    """Set those of the named uniforms that the program has, where they are not so already.
+
+    The program must come from `build_program`, and these uniforms be set by nothing else.
+    """
+    uniforms, held = program.extra.uniforms, program.extra.held
     for name, value in values.items():
-        if name in members:
-            members[name].value = value
+        if name not in uniforms:
+            continue
+        if not isinstance(value, _PLAIN):
+            uniforms[name].value = value
+            held.pop(name, None)
+        elif name not in held or held[name] != value:
+            uniforms[name].value = value
+            held[name] = value
 
 
 def _explain_failure(message: str, sources: Mapping[str, ShaderSource]) -> str:

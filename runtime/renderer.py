@@ -83,7 +83,9 @@ class Renderer:
         self._released = False
         self._lighting = lighting or Lighting()
         self._passes = Passes(ctx, self._defines)
-        with self._guard():
+        units = [*range(NUM_TEXTURE_UNITS), ctx.default_texture_unit]
+        self._state = saved_state(units, (FRAME_BINDING,), self.has_tessellation)
+        with self._state:
             self._frame = FrameBlock(ctx, self._lighting)
 
     # Light and views
@@ -99,7 +101,7 @@ class Renderer:
         changed = lighting.environment is not self._lighting.environment
         self._lighting = lighting
         if changed:
-            with self._guard():
+            with self._state:
                 self._frame.upload_lighting(lighting)
 
     def add_view(self, name: str, fragment: str | Path, *, blends: bool = True) -> None:
@@ -176,7 +178,7 @@ class Renderer:
         for model, _ in batches:
             self._check_model(model, lod)
         look = Look(view, self._views[view], dict(uniforms or {}), factor, self.quality.texels_a_segment)
-        with self._guard() as gl:
+        with self._state as gl:
             _, _, width, height = gl.integers(gl_state.VIEWPORT, 4)
             if not width or not height:
                 return
@@ -184,7 +186,7 @@ class Renderer:
             self._frame.write(matrices, (width, height), self._lighting, self.quality, factor)
             self._frame.bind()
             chosen = None if isinstance(lod, str) else lod
-            wish = Wish(height, chosen, tessellation, self.has_tessellation, self.quality)
+            wish = Wish((width, height), chosen, tessellation, self.has_tessellation, self.quality)
             groups: list[Group] = []
             self.last_drawn = {}
             for model, batch in batches:
@@ -239,10 +241,6 @@ class Renderer:
             raise RenderError(f"the model {model.asset.name} belongs to another context than the renderer")
         if lod != "auto" and not (isinstance(lod, int) and 0 <= lod < len(model.lods)):
             raise RenderError(f"{model.asset.name} has no level of detail {lod!r}: auto or 0 to {len(model.lods) - 1}")
-
-    def _guard(self) -> Any:
-        units = [*range(NUM_TEXTURE_UNITS), self.ctx.default_texture_unit]
-        return saved_state(units, (FRAME_BINDING,), self.ctx.version_code >= 400)
 
     def release(self) -> None:
         """Free programs and buffers. May be called more than once; models are not released."""

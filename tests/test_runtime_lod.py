@@ -17,7 +17,7 @@ from runtime.asset import Asset, load
 from runtime.bounds import pose_bounds
 from runtime.camera import Camera, MatrixCamera
 from runtime.gpu_asset import Model
-from runtime.lod import HYSTERESIS, Quality, choose_levels, corners_of, pixels_per_metre, transform_boxes, visible
+from runtime.lod import HYSTERESIS, Quality, choose_levels, look_at
 from runtime.renderer import Renderer
 
 SIDE_PX = 256
@@ -46,14 +46,39 @@ def test_no_displacement_is_larger_on_the_screen_than_said() -> None:
         transform = np.eye(4)
         transform[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0] * rng.uniform(0.2, 3)
         box = np.sort(rng.normal(size=(1, 2, 3)), axis=1)
-        corners = transform_boxes(box, transform[None])
-        allowed = pixels_per_metre(corners, transform[None], camera.matrices(width, height), height)[0] * metres
+        sight = look_at(box, transform[None], camera.matrices(width, height), (width, height))
+        allowed = sight.pixels_a_metre[0] * metres
         points = rng.uniform(box[0, 0], box[0, 1], (400, 3))
         moved = points + metres * (steps := rng.normal(size=(400, 3))) / np.linalg.norm(steps, axis=1, keepdims=True)
         a, b = (project(p @ transform[:3, :3].T, camera, width, height) for p in (points, moved))
         inside = (np.abs(a[:, :2]) < [width / 2, height / 2]).all(axis=1) & (a[:, 2] > 0)
         if inside.any() and np.isfinite(allowed):
             assert np.linalg.norm(a[inside, :2] - b[inside, :2], axis=1).max() <= allowed * 1.01
+
+
+def test_boxes_are_seen_and_measured_as_by_their_corners() -> None:
+    """The slow twin: all eight corners, sides of the view one by one, the nearest depth."""
+    rng = np.random.default_rng(7)
+    picks = np.array([[(corner >> axis) & 1 for axis in range(3)] for corner in range(8)])
+    for camera in random_cameras(100, seed=8):
+        transform = np.eye(4)
+        transform[:3] = rng.normal(size=(3, 4))  # sheared and mirrored too
+        box = np.sort(rng.normal(size=(1, 2, 3)), axis=1)
+        matrices = camera.matrices(320, 200)
+        sight = look_at(box, transform[None], matrices, (320, 200))
+        corners = box[0][picks, np.arange(3)] @ transform[:3, :3].T + transform[:3, 3]
+        clip = (corners - matrices.eye) @ matrices.clip_from_world[:, :3].T + matrices.clip_from_world[:, 3]
+        beyond = [(side * clip[:, axis] > clip[:, 3]).all() for axis in range(3) for side in (1, -1)]
+        assert sight.visible[0] == (not any(beyond))
+        depth = -((corners - matrices.eye) @ matrices.rotation[2])
+        if depth.min() <= 0:
+            assert np.isinf(sight.pixels_a_metre[0])
+            continue
+        stretch = np.linalg.norm(transform[:3, :3], 2)
+        straight_on = stretch * matrices.projection[1, 1] * 100 / depth.min()
+        assert straight_on <= sight.pixels_a_metre[0] * (1 + 1e-9)
+        widest = np.sqrt(1 + matrices.widest_sq) * np.sqrt(3)
+        assert sight.pixels_a_metre[0] <= straight_on * widest * (1 + 1e-9)
 
 
 def test_what_is_in_view_is_never_culled() -> None:
@@ -64,19 +89,19 @@ def test_what_is_in_view_is_never_culled() -> None:
         px = project(points, camera, 300, 200)
         shown = ((np.abs(px[:, :2]) < [150, 100]).all(axis=1) & (px[:, 2] > 0)).any()
         if shown:
-            assert visible(corners_of(box), camera.matrices(300, 200))[0]
+            assert look_at(box, np.eye(4)[None], camera.matrices(300, 200), (300, 200)).visible[0]
 
 
 def test_what_is_behind_or_aside_is_culled() -> None:
     camera = Camera((0, 0, 5), (0, 0, 0)).matrices(100, 100)
     boxes = np.array([[[-1, -1, -1], [1, 1, 1]], [[-1, -1, 6], [1, 1, 8]], [[50, -1, -1], [52, 1, 1]]], float)
-    assert visible(corners_of(boxes), camera).tolist() == [True, False, False]
+    assert look_at(boxes, np.tile(np.eye(4), (3, 1, 1)), camera, (100, 100)).visible.tolist() == [True, False, False]
 
 
 def test_orthographic_cameras_measure_without_distance() -> None:
     camera = MatrixCamera(np.eye(4), np.diag([0.5, 0.5, -0.1, 1.0])).matrices(100, 100)
-    corners = corners_of(np.array([[[-1, -1, -9], [1, 1, -1]]], float))
-    assert pixels_per_metre(corners, np.eye(4)[None], camera, 100)[0] == pytest.approx(25.0)
+    box = np.array([[[-1, -1, -9], [1, 1, -1]]], float)
+    assert look_at(box, np.eye(4)[None], camera, (100, 100)).pixels_a_metre[0] == pytest.approx(25.0)
 
 
 def test_levels_are_monotonic_and_under_the_threshold() -> None:
