@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from runtime.errors import AssetError
 from runtime.gltf import Document, read_document
 from runtime.png import find_png_fault
+from runtime.weight_details import WeightDetails, build_quadtree, details_size, no_details, unpack_details
 
 if TYPE_CHECKING:
     from runtime.clip import Clip
     from runtime.skeleton import Skeleton
 
-SCHEMA = 1
+SCHEMA = 2  # 2: weights may have details
 GEOMETRY_TEXTURES = ("position", "normal", "weights")
 COLOR_TEXTURES = ("base_color", "orm", "emissive")
 REBUILD = "build the character again with python -m preprocess"
@@ -131,6 +132,7 @@ class Asset:
     skeleton: Skeleton
     clips: tuple[Clip, ...]
     weight_size: tuple[int, int]
+    weight_details: WeightDetails = field(default_factory=no_details)
 
     @property
     def name(self) -> str:
@@ -285,6 +287,28 @@ def _read_textures(folder: Path, manifest: Manifest) -> dict[str, TextureData]:
             if texels.dtype.kind == "f" and not np.isfinite(texels).all():
                 raise AssetError(f"texture {name} holds values that are not finite: {REBUILD}")
     return {name: TextureData(name, tuple(arrays)) for name, arrays in levels.items()}
+
+
+def _read_weight_details(folder: Path, manifest: Manifest) -> WeightDetails:
+    """Where joint weights are finer than their map."""
+    weights = manifest.json["textures"]["weights"]
+    entry = weights.get("details")
+    if entry is None:
+        return no_details()
+    where = f"{folder / 'manifest.json'}: textures.weights.details"
+    if not isinstance(entry, dict) or not isinstance(entry.get("file"), str):
+        raise AssetError(f"{where} names no file: {REBUILD}")
+    num_leaves, slots = (_whole_number(entry.get(key), f"{where}.{key}") for key in ("leaves", "slots"))
+    path = folder / entry["file"]
+    image = _read_texels(path, "weight details", weights["format"], details_size(num_leaves, slots))
+    if image.shape[2] != 4:
+        raise AssetError(f"{path} has {image.shape[2]} channels, not 4: {REBUILD}")
+    details = unpack_details(image, num_leaves, str(path))
+    tree = build_quadtree(details, str(path))
+    outside = (tree.cells >= np.maximum(np.array(weights["size"]) - 1, 1)).any()
+    if outside or details.joints.max(initial=0) >= len(manifest.joints):
+        raise AssetError(f"{path} is not of this character: {REBUILD}")
+    return details
 
 
 def _read_material(spec: dict[str, Any]) -> MaterialData:
@@ -446,4 +470,5 @@ def load(path: str | Path) -> Asset:
         skeleton=skeleton,
         clips=read_clips(document, skeleton),
         weight_size=(int(weight_entry["size"][0]), int(weight_entry["size"][1])),
+        weight_details=_read_weight_details(folder, manifest),
     )

@@ -151,6 +151,7 @@ class Model:
             "position_scale": tuple(prepared.position_scale),
             "position_offset": tuple(prepared.position_offset),
             "weight_size": asset.weight_size,
+            "first_divided_record": cells.first_divided,
             "normal_decode": (2.0, -1.0) if integer_normals else (1.0, 0.0),
             "box_min": tuple(asset.manifest.bind_bounds[0]),
             "box_size": tuple(asset.manifest.bind_bounds[1] - asset.manifest.bind_bounds[0]),

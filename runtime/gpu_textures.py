@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from runtime.asset import Asset
 from runtime.errors import RenderError
+from runtime.touched_cells import touched_cells
 from runtime.weight_cells import WeightCells, build_weight_cells
 
 # Texture units, the same for every program.
@@ -116,5 +117,17 @@ def prepare(asset: Asset, position_format: str = "unorm16") -> Prepared:
     if position_format not in POSITION_FORMATS:
         raise RenderError(f"no position format {position_format!r}: one of {', '.join(POSITION_FORMATS)}")
     texels, scale, offset = _position_texels(asset.textures["position"].levels[0], position_format)
-    cells = build_weight_cells(asset.textures["weights"].levels[0], asset.weight_size, asset.num_joints)
+    cells = build_weight_cells(
+        asset.textures["weights"].levels[0], asset.weight_size, asset.num_joints, asset.weight_details, _touched(asset)
+    )
     return Prepared(asset, texels, scale, offset, cells)
+
+
+def _touched(asset: Asset) -> NDArray[np.bool_]:
+    """Cells of the weight map that any level reads: under its triangles, and where its owners lie."""
+    touched = np.zeros(np.maximum(np.array(asset.weight_size[::-1]) - 1, 1), bool)
+    for mesh in asset.lods:
+        touched |= touched_cells(mesh.uvs, mesh.triangles, asset.weight_size)
+        alone = np.repeat(np.arange(len(mesh.owner_uvs))[:, None], 3, axis=1)
+        touched |= touched_cells(mesh.owner_uvs, alone, asset.weight_size)
+    return touched

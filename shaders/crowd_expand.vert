@@ -13,9 +13,8 @@ void main() {
     rest = rest_position(in_owner_uv);
     joints = vec4(0.0);
     weights = vec4(0.0);
-    TexelCell cell = texel_cell(in_owner_uv, weight_size);
-    vec4 shares = texel_shares(cell.fraction);
-    uint record = texelFetch(weight_cells, cell.corner, 0).r;
+    vec4 shares;
+    uint record = find_record(in_owner_uv, shares);
     float left = 1.0;
     bool more = true;
     for (int number = 0; more; number++) {

@@ -22,9 +22,8 @@ vec3 joint_color(uint joint) {
 }
 
 vec3 blend_joint_colors(vec2 uv) {
-    TexelCell cell = texel_cell(uv, weight_size);
-    vec4 shares = texel_shares(cell.fraction);
-    uint record = texelFetch(weight_cells, cell.corner, 0).r;
+    vec4 shares;
+    uint record = find_record(uv, shares);
     vec3 color = vec3(0.0);
     float left = 1.0;
     bool more = true;

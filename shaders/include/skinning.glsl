@@ -4,6 +4,7 @@
 // a palette of joints, and the weights of these at the cell's four texels. All four texels share the palette, so the
 // blend is exact, with any number of joints, and continuous from cell to cell. A record is one fetch: three joints with
 // their weights, and the last of a cell's records names one more joint, to which goes what the others left of one.
+// Where the map is too coarse, a cell's record names four others, one a quarter (runtime/weight_details.py).
 #ifndef SKINNING_GLSL
 #define SKINNING_GLSL
 
@@ -18,10 +19,11 @@ uniform usampler2D weight_records;     // four bytes of joints, then for three j
 uniform usampler2D joint_records;      // the joints where a byte is too few
 #endif
 uniform ivec2 weight_size;             // of the weight map, texels
+uniform uint first_divided_record;     // from here on records are four numbers of records, one a quarter
 uniform sampler2D joint_texture;       // three rows of a matrix a joint along x, one pose a row
 
 const uint MORE_RECORDS = 255u;        // in place of the fourth joint: further records follow
-const int RECORDS_WIDTH_LOG2 = 10;     // records are stored in rows of 1024
+const int RECORDS_WIDTH_LOG2 = 8;      // records are stored in rows of 256
 
 // Matrices of 3 rows and 4 columns are held as mat3x4, a row of mathematics in each of its three vec4.
 vec3 transform_point(mat3x4 rows, vec3 point) {
@@ -51,6 +53,20 @@ vec4 texel_shares(vec2 fraction) {
     PRECISE vec4 shares = vec4(onwards.x, fraction.x, onwards.x, fraction.x)
                         * vec4(onwards.y, onwards.y, fraction.y, fraction.y);
     return shares;
+}
+
+// The first record at a place of the atlas, and what the four corners of its cell, or part of a cell, count there.
+uint find_record(vec2 uv, out vec4 shares) {
+    TexelCell cell = texel_cell(uv, weight_size);
+    vec2 fraction = cell.fraction;
+    uint record = texelFetch(weight_cells, cell.corner, 0).r;
+    while (record >= first_divided_record) {
+        ivec2 quarter = ivec2(greaterThanEqual(fraction, vec2(0.5)));
+        fraction = fraction * 2.0 - vec2(quarter);
+        record = texelFetch(weight_records, record_texel(record), 0)[quarter.x + 2 * quarter.y];
+    }
+    shares = texel_shares(fraction);
+    return record;
 }
 
 // A record's joints. The fourth is the last record's alone.
@@ -122,9 +138,8 @@ mat3x4 dual_matrix(DualBlend blend) {
 
 // The joints' motions blended with the weights at a place of the atlas (dual quaternion skinning).
 mat3x4 blend_joints(vec2 uv, int pose) {
-    TexelCell cell = texel_cell(uv, weight_size);
-    vec4 shares = texel_shares(cell.fraction);
-    uint record = texelFetch(weight_cells, cell.corner, 0).r;
+    vec4 shares;
+    uint record = find_record(uv, shares);
     DualBlend blend = DualBlend(vec4(0.0), vec4(0.0), mat3(0.0));
     float left = 1.0;
     bool more = true;
@@ -144,9 +159,8 @@ mat3x4 blend_joints(vec2 uv, int pose) {
 // The joints' matrices blended with the weights at a place of the atlas (linear blend skinning).
 // Mesa's software rasteriser runs this form of the loop a tenth faster than one over read_record().
 mat3x4 blend_joints(vec2 uv, int pose) {
-    TexelCell cell = texel_cell(uv, weight_size);
-    vec4 shares = texel_shares(cell.fraction);
-    uint record = texelFetch(weight_cells, cell.corner, 0).r;
+    vec4 shares;
+    uint record = find_record(uv, shares);
     PRECISE mat3x4 blended = mat3x4(0.0);
     float left = 1.0;
     for (;;) {
