@@ -117,7 +117,7 @@ def add_build_arguments(parser: argparse.ArgumentParser) -> None:
     for name in ("geometry", "weight", "color"):
         parser.add_argument(f"--{name}-size", type=size, default=None, metavar="auto|N", help="texels a side")
     parser.add_argument(
-        "--lods", type=ratios, default=None, metavar="auto|R,R,…", help="faces as fractions of the full mesh"
+        "--lods", type=ratios, default=None, metavar="auto|R,R,…", help="levels below the full mesh, as fractions of it"
     )
     parser.add_argument(
         "--floor",
@@ -129,6 +129,9 @@ def add_build_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--exact", action="store_true", help="leave out levels with relaxed seams")
     parser.add_argument(
         "--influences", type=int, choices=[4, 8], default=default.influences, help="joints a vertex in model.glb"
+    )
+    parser.add_argument(
+        "--separate-lods", action="store_true", help="also write every level of detail as a file of its own"
     )
     parser.add_argument(
         "--keep-borders",
@@ -154,6 +157,7 @@ def settings_from(arguments: argparse.Namespace) -> Settings:
         floor_rel=arguments.floor,
         exact=arguments.exact,
         influences=arguments.influences,
+        separate_lods=arguments.separate_lods,
         keep_borders=arguments.keep_borders,
         report=arguments.report,
     )

@@ -81,7 +81,13 @@ def build(model: Path, destination: Path, settings: Settings, progress: Progress
         with progress.stage("levels") as stage:
             chain = _build_lods(character, atlas, textures, poses, settings)
             stage.delta = " → ".join(str(lod.num_faces) for lod in chain.lods)
-        warnings = (*character.warnings, *atlas.warnings, *chain.repairs.warnings(), *chain.warnings)
+        warnings = (
+            *character.warnings,
+            *atlas.warnings,
+            *chain.repairs.warnings(),
+            *chain.warnings,
+            *_missed_levels(chain, settings),
+        )
         with progress.stage("write"):
             rows = write_folder(folder, character, atlas, textures, chain, settings, warnings, progress.seconds)
             if settings.report:
@@ -132,7 +138,7 @@ def _build_lods(
     dense = mesh.dense_weights(poses.shape[1])
     blended = np.einsum("vj,pjik->pvik", dense, poses[:, :, :3])
     options = DecimateOptions(
-        ratios=settings.lod_ratios,
+        ratios=None if settings.lod_ratios is None else (1.0, *settings.lod_ratios),
         relaxed_px=0.0 if settings.exact else DecimateOptions().relaxed_px,
         texture_px=max(max(t.size) for t in textures),
     )
@@ -143,3 +149,13 @@ def _build_lods(
         poses=blended,
         face_groups=draw_groups(character, mesh.face_materials),
     )
+
+
+def _missed_levels(chain: Chain, settings: Settings) -> list[str]:
+    """What became of levels that were asked for below the floor."""
+    if settings.lod_ratios is None or chain.floor_faces < 0:
+        return []
+    wanted = round(settings.lod_ratios[-1] * chain.lods[0].num_faces)
+    return [
+        f"levels end at {chain.floor_faces} faces, not {wanted}: seams stay exact only so far (--lods auto relaxes)"
+    ]

@@ -26,7 +26,8 @@ class Settings:
         Sides of the square textures. None (auto): geometry and weights as small as the accuracy goals allow,
         colours at the source's density.
     lod_ratios : tuple of float or None
-        Faces of each level as a fraction of the full mesh. None (auto): each about half the one before, to the floor.
+        Faces of each level below the full mesh as a fraction of it; the full mesh is always there. None (auto): each
+        about half the one before, to the floor.
     floor_rel : float
         Fraction of the faces that the coarsest exact level must reach; the atlas is chosen for it. At most
         `floor_rel` or 200 faces, whichever is larger, is asked for.
@@ -34,6 +35,8 @@ class Settings:
         Leave out levels below the exact floor, whose seams are relaxed within half a texel of their mip.
     influences : int
         Joint influences a vertex in model.glb: 4 or 8.
+    separate_lods : bool
+        Also write each level as a file of its own, model_LOD0.glb …: for engines that pair files, not nodes.
     keep_borders : float or None
         Colours whose two sides differ by more than this (rms, 0 to 1) along a seam of the artist's own are taken for
         a painted border and left: what is meant to agree seldom differs by a sixth of the range. None: all are joined.
@@ -51,6 +54,7 @@ class Settings:
     floor_rel: float = 0.03
     exact: bool = False
     influences: int = 4
+    separate_lods: bool = False
     keep_borders: float | None = 0.15
     report: bool = False
 

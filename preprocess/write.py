@@ -75,11 +75,16 @@ def write_folder(
     rows = tuple(_row(f"{character.name}_LOD{i}", lod) for i, lod in enumerate(lods))
     entries = {texture.name: _write_texture(folder, texture) for texture in textures}
     write_model_glb(folder / MODEL, character, atlas.mesh, lods, entries, influences=settings.influences)
+    files = [f"model_LOD{i}.glb" for i in range(len(lods))] if settings.separate_lods else []
+    for file, row, lod in zip(files, rows, lods):
+        one = folder / file
+        write_model_glb(one, character, atlas.mesh, [lod], entries, influences=settings.influences, names=[row.node])
     manifest = {
         "schema": SCHEMA,
         "name": character.name,
         "source": {"file": character.source.name, "sha256": character.source_hash},
         "model": MODEL,
+        **({"model_files": files} if files else {}),
         "joints": [character.skeleton.names[node] for node in character.skeleton.joint_nodes],
         "clips": [{"name": clip.name, "duration_s": clip.duration_s} for clip in character.clips],
         "bounds": _bounds(character, atlas),

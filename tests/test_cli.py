@@ -13,9 +13,11 @@ from pathlib import Path
 
 import pytest
 from builders_asset import build_ball
+from builders_gltf import bent_bar
 from conftest import ROOT, asset
 
 from preprocess import cli
+from runtime.gltf import read_document
 
 
 def preprocess(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
@@ -85,6 +87,36 @@ def test_other_peoples_folders_are_safe(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
     refused(preprocess(asset("Fox.glb"), "-o", tmp_path), "other files")
     assert (tmp_path / "thesis.tex").read_text() == "years of work"
+
+
+def test_one_file_a_level(tmp_path: Path) -> None:
+    """Each file holds its level alone with the whole skeleton and all clips, and finds the folder's textures."""
+    bar = bent_bar(tmp_path / "bar.glb")
+    done = preprocess(bar, "-o", tmp_path / "out", "--lods", "0.5", "--separate-lods", "--color-size", "32")
+    assert done.returncode == 0, done.stderr
+    manifest = json.loads((tmp_path / "out" / "manifest.json").read_text())
+    assert manifest["model_files"] == [f"model_LOD{i}.glb" for i in range(len(manifest["lods"]))]
+    assert [level["faces"] for level in manifest["lods"]] == [32, 16]  # the full mesh needs not be asked for
+    together = read_document(tmp_path / "out" / "model.glb")
+    for file, level in zip(manifest["model_files"], manifest["lods"]):
+        alone = read_document(tmp_path / "out" / file)
+        assert [node["name"] for node in alone.items("nodes") if "mesh" in node] == [level["node"]]
+        (primitive,) = alone.items("meshes")[0]["primitives"]
+        assert len(alone.accessor(primitive["indices"])) == 3 * level["faces"]
+        assert len(alone.items("skins")[0]["joints"]) == len(manifest["joints"])
+        clips = [[clip["name"] for clip in document.items("animations")] for document in (alone, together)]
+        assert clips[0] == clips[1] == ["bend"]
+        assert all((tmp_path / "out" / image["uri"]).is_file() for image in alone.items("images"))
+
+
+def test_levels_below_the_floor_are_missed_aloud(tmp_path: Path) -> None:
+    """Two triangles with four corners are all that a flat bar's outline allows."""
+    done = preprocess(
+        bent_bar(tmp_path / "bar.glb"), "-o", tmp_path / "out", "--lods", "0.5,0.03", "--color-size", "32"
+    )
+    assert done.returncode == 0, done.stderr
+    warnings = json.loads((tmp_path / "out" / "manifest.json").read_text())["warnings"]
+    assert any("levels end at 2 faces, not 1" in warning for warning in warnings)
 
 
 @pytest.mark.slow
