@@ -29,7 +29,7 @@ from benchmarks._table import print_table
 from demos.crowd import square
 from demos.headless import Canvas, create_context, write_png
 from demos.options import picture_size
-from runtime.crowd_levels import CrowdLevel, vertex_bytes
+from runtime.crowd_levels import LevelMesh
 from runtime.gltf import Document, read_document
 from runtime.gpu_levels import DrawGroup
 
@@ -120,25 +120,20 @@ class AttributeCrowd(runtime.Crowd):
         """The model's, with the file's own base colour."""
         return {**self.model.textures, "base_color_texture": self._base_color}
 
-    def _upload_levels(self) -> tuple[CrowdLevel, ...]:
+    def _meshes(self) -> list[LevelMesh]:
         material = self.model.lods[0].groups[0].material
         result = []
         for triangles, error_m in self._chain:
             used, corners = np.unique(triangles, return_inverse=True)
-            mesh = self._mesh
-            vertices = vertex_bytes(mesh.positions[used], mesh.uvs[used], mesh.joints[used], mesh.weights[used])
-            result.append(
-                CrowdLevel(
-                    vertices=self._keep(self.ctx.buffer(vertices)),
-                    indices=self._keep(self.ctx.buffer(corners.astype("<u4").tobytes())),
-                    index_size=4,
-                    groups=(DrawGroup(0, len(triangles), material),),
-                    eight_joints=False,
-                    nearest_row=error_m >= 4.0 * self.baked.shift_m,
-                    error_m=error_m,
-                )
-            )
-        return tuple(result)
+            indices = self.ctx.buffer(corners.astype("<u4").tobytes())
+            self._owned.append(indices)
+            mesh, groups = self._mesh, (DrawGroup(0, len(triangles), material),)
+            attributes = (mesh.positions[used], mesh.uvs[used], mesh.joints[used].astype(np.int64), mesh.weights[used])
+            result.append(LevelMesh(*attributes, indices, 4, groups, error_m))
+        return result
+
+    def _seam_lines(self, level: int) -> moderngl.Buffer | None:
+        return None
 
 
 def source_base_color(ctx: moderngl.Context, document: Document, padded_for: SourceMesh | None) -> moderngl.Texture:
@@ -204,8 +199,8 @@ def cpu_share(crowd: runtime.Crowd, camera: runtime.Camera, size: tuple[int, int
     for _ in range(15):
         start = time.process_time()
         crowd.update(0.0)  # the poses stay those of the pictures
-        selection = crowd.stage.select(matrices, size[1], crowd.errors_m, crowd._nearest_row, 1.0)
-        crowd._write_instances(selection)
+        selection = crowd.stage.select(matrices, size[1], crowd.errors_m, 1.0)
+        crowd._passes.write(selection.records)
         spent.append(time.process_time() - start)
     return 1e3 * min(spent)
 

@@ -1,7 +1,7 @@
-"""What a crowd needs ready-made: clips as rows of joint matrices, and each level's vertices with their joints.
+"""What a crowd needs ready-made: clips as rows of joint matrices, and the strongest joints of each vertex.
 
-Clips are sampled at a fixed rate. Between two rows the shader blends matrices, so a skinned point moves on the chord
-of two exact places, and the boxes of the rows hold everything that is drawn.
+Rows lie on a clip's own keys where these are evenly spaced, and as many in between as it takes: between two rows the
+shader blends matrices, so a skinned point moves on a chord, and how far that may be from its place is measured.
 Letters in shapes: C clips, R rows of all clips, J joints, V vertices.
 """
 
@@ -21,10 +21,12 @@ from runtime.skeleton import Skeleton
 
 Floats = NDArray[np.floating[Any]]
 
-# Rows a second. A hand at 2 m/s moves 8 mm from one to the next, so the nearest row is good enough from about 20 m on;
-# a blend of two is exact to micrometres. 1,400 rows of 53 joints are 3.5 MB.
-BAKE_RATE_HZ = 240.0
+LEAST_RATE_HZ, MOST_RATE_HZ = 30.0, 240.0
+# How far a point may be from its place between two rows, of the character's diagonal: half a millisecond of a stride.
+TIME_TOLERANCE_REL = 2.5e-4
 MAX_ROWS = 8192
+_KEY_TOLERANCE = 0.004  # of a step: keys nearer to a row than this lie on it
+_PARTS = 4  # places between two rows where the chord is compared with the clip
 _SAMPLED_ROWS = 48  # of all baked poses, for measuring what a simplification moves
 
 
@@ -46,7 +48,7 @@ class BakedClips:
         Of the sphere that holds all poses of a clip, object space, metres.
     radii_m : (C,) float64
     shift_m : float
-        How far a vertex may be from its place when the nearest row is taken instead of a blend of two.
+        How far a point may be from its place, since what lies between two rows is blended.
     """
 
     names: tuple[str, ...]
@@ -60,16 +62,55 @@ class BakedClips:
     shift_m: float
 
 
-def _largest_step(matrices: NDArray[np.float32], boxes: NDArray[np.float64]) -> float:
-    """Longest way of any point of the joints' boxes from one row to the next, metres."""
-    used = np.flatnonzero(np.isfinite(boxes).all(axis=(1, 2)))
-    if len(matrices) < 2 or not len(used):
-        return 0.0
-    steps = np.diff(matrices[:, used].astype(np.float64), axis=0)
-    picks = np.array([[corner >> axis & 1 for axis in range(3)] for corner in range(8)])
-    corners = boxes[used][:, picks, np.arange(3)]
-    ways = np.einsum("sjrc,jkc->sjkr", steps[..., :3], corners) + steps[:, :, None, :, 3]
-    return float(np.linalg.norm(ways, axis=3).max())
+def steps_between_keys(clip: Clip) -> int:
+    """The fewest equal steps over a clip that all its keys lie on; 0 where they are not evenly spaced."""
+    if clip.duration_s <= 0:
+        return 0
+    places = np.unique(np.append(clip.key_times, [0.0, clip.duration_s])) / clip.duration_s
+    gaps = np.diff(places)
+    least = gaps[gaps > _KEY_TOLERANCE / (MOST_RATE_HZ * clip.duration_s)].min(initial=1.0)
+    for wanted in np.arange(1, 5) / least:
+        steps = round(float(wanted))
+        if steps <= MOST_RATE_HZ * clip.duration_s and np.abs(places * steps - np.rint(places * steps)).max() <= (
+            _KEY_TOLERANCE
+        ):
+            return steps
+    return 0
+
+
+def _bake(skeleton: Skeleton, clip: Clip, steps: int, corners: Floats) -> tuple[NDArray[np.float32], float]:
+    """A clip in equal steps, (steps + 1, J, 3, 4), and how far the chords between them stray, metres.
+
+    corners : (J, 8, 3), NaN where a joint moves nothing
+    """
+    times = np.linspace(0.0, clip.duration_s, _PARTS * steps + 1)
+    exact = skinning_rows(skeleton, sample(clip, skeleton, times, dtype=np.float64))
+    rows, shift = exact[::_PARTS], 0.0
+    used = np.flatnonzero(np.isfinite(corners).all(axis=(1, 2)))
+    for part in range(1, _PARTS if steps else 0):
+        share = part / _PARTS
+        strays = (rows[:-1, used] * (1 - share) + rows[1:, used] * share) - exact[part::_PARTS, used]
+        ways = np.einsum("sjrc,jkc->sjkr", strays[..., :3], corners[used]) + strays[:, :, None, :, 3]
+        shift = max(shift, float(np.sqrt(np.einsum("sjkr,sjkr->sjk", ways, ways).max(initial=0.0))))
+    return rows.astype(np.float32), shift
+
+
+def _bake_well(
+    skeleton: Skeleton, clip: Clip, corners: Floats, tolerance_m: float, most_hz: float
+) -> tuple[NDArray[np.float32], float]:
+    """A clip in as few steps as keep its chords within a tolerance, or in as many as are allowed."""
+    most = max(int(np.ceil(clip.duration_s * most_hz)), 1)
+    own = steps_between_keys(clip)
+    unit = own if 0 < own <= most else 1
+    steps = min(unit * int(np.ceil(clip.duration_s * min(LEAST_RATE_HZ, most_hz) / unit)), most // unit * unit)
+    while True:
+        rows, shift = _bake(skeleton, clip, steps, corners)
+        if shift <= tolerance_m or steps + max(steps // 2, unit) > most:
+            return rows, shift
+        # Halving the steps divides a smooth stray by four; a kink at a key between two rows only by two.
+        steps = min(
+            unit * int(np.ceil(steps * min(max((shift / tolerance_m) ** 0.5, 1.5), 4.0) / unit)), most // unit * unit
+        )
 
 
 def bake_clips(
@@ -95,15 +136,17 @@ def bake_clips(
     room = max_rows - 3 * len(clips) - 1
     if room < 0:
         raise ValueError(f"{len(clips)} clips do not fit into {max_rows} rows; give the crowd fewer clips")
-    rate = min(BAKE_RATE_HZ, room / total_s) if total_s > 0 else BAKE_RATE_HZ
+    most_hz = min(MOST_RATE_HZ, room / total_s) if total_s > 0 else MOST_RATE_HZ
+    picks = np.array([[corner >> axis & 1 for axis in range(3)] for corner in range(8)])
+    corners = boxes[:, picks, np.arange(3)]
+    finite = boxes[np.isfinite(boxes).all(axis=(1, 2))]
+    diagonal = float(np.linalg.norm(finite[:, 1].max(axis=0) - finite[:, 0].min(axis=0))) if len(finite) else 1.0
     blocks: list[NDArray[np.float32]] = []
     shift = 0.0
     for clip in clips:
-        steps = int(np.ceil(clip.duration_s * rate))
-        times = np.linspace(0.0, clip.duration_s, steps + 1)
-        block = skinning_rows(skeleton, sample(clip, skeleton, times, dtype=np.float64)).astype(np.float32)
+        block, strayed = _bake_well(skeleton, clip, corners, TIME_TOLERANCE_REL * diagonal, most_hz)
         blocks.append(block)
-        shift = max(shift, _largest_step(block, boxes) / 2)
+        shift = max(shift, strayed)
     blocks.append(skinning_rows(skeleton, rest_pose(skeleton)).astype(np.float32))
     counts = np.array([len(block) for block in blocks], dtype=np.int64)
     durations = np.array([*(clip.duration_s for clip in clips), 0.0])
@@ -116,7 +159,7 @@ def bake_clips(
         durations_s=durations,
         rates_hz=(counts - 1) / np.where(durations > 0, durations, 1.0),
         centres=np.array([centre for centre, _ in spheres]),
-        radii_m=np.array([radius for _, radius in spheres]),
+        radii_m=np.array([radius for _, radius in spheres]) + shift,
         shift_m=shift,
     )
 

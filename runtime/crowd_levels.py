@@ -1,12 +1,13 @@
-"""A crowd's levels of detail as vertices with attributes, expanded once from the textures of their model.
+"""A crowd's levels of detail: vertices with attributes, expanded once from the textures of their model.
 
-The GPU expands them itself (crowd_expand.vert, transform feedback), with the functions that draw single actors.
+The GPU expands them itself (crowd_expand.vert, transform feedback), with the functions that draw single actors. Of the
+coarsest levels the places of all vertices in all baked poses are made ready (crowd_places.py), as far as memory allows.
 Letters in shapes: V vertices, K records times four joints.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime import gl_state
+from runtime.crowd_bake import dropped_shift, pick_joints
+from runtime.crowd_places import ROUNDING_SHARE, Places, bake_places
 from runtime.gpu_asset import Model
 from runtime.gpu_levels import DrawGroup
 from runtime.gpu_textures import TEXTURE_UNITS
@@ -25,16 +28,63 @@ Floats = NDArray[np.floating[Any]]
 _EXPANDED_BYTES = 44  # a vertex: position, four joints, four weights, float32
 
 
+# Four joints a vertex rather than eight where that moves nothing by more than this part of the level's own error.
+DROPPED_SHARE = 0.15
+
+
+@dataclass(frozen=True)
+class LevelMesh:
+    """One level as it is to be drawn, whatever it was made from.
+
+    Attributes
+    ----------
+    positions : (V, 3) float, at rest, metres
+    uvs : (V, 2) float
+    joints : (V, K) int
+    weights : (V, K) float
+    indices : Buffer
+        Of triangles.
+    index_size : int
+        Bytes an index.
+    groups : tuple of DrawGroup
+    error_m : float
+    """
+
+    positions: Floats
+    uvs: Floats
+    joints: NDArray[np.int64]
+    weights: Floats
+    indices: moderngl.Buffer
+    index_size: int
+    groups: tuple[DrawGroup, ...]
+    error_m: float
+
+
 @dataclass(frozen=True)
 class CrowdLevel:
-    """Buffers of one level of detail of a crowd."""
+    """Buffers of one level of detail of a crowd.
+
+    Attributes
+    ----------
+    vertices, indices : Buffer
+    index_size : int
+    groups : tuple of DrawGroup
+    eight_joints : bool
+        Eight joints a vertex, not four.
+    places : Texture or None
+        Places of all vertices in all poses, where they are ready-made, with their scale and offset.
+    error_m : float
+        Of the shape, and of what was simplified here.
+    """
 
     vertices: moderngl.Buffer
     indices: moderngl.Buffer
     index_size: int
     groups: tuple[DrawGroup, ...]
     eight_joints: bool
-    nearest_row: bool
+    places: moderngl.Texture | None
+    place_scale: tuple[float, ...]
+    place_offset: tuple[float, ...]
     error_m: float
 
 
@@ -95,15 +145,84 @@ def _expand(
     return parts
 
 
-def vertex_bytes(positions: Floats, uvs: Floats, joints: NDArray[np.uint16], weights: Floats) -> bytes:
-    """Vertices as crowd.vert reads them: position and uv float32, joints uint16, weights float16.
+def model_meshes(ctx: moderngl.Context, model: Model) -> list[LevelMesh]:
+    """A model's own levels, ready to become a crowd's."""
+    return [
+        LevelMesh(positions, lod.mesh.uvs, joints, weights, lod.indices, lod.index_size, lod.groups, lod.mesh.error_m)
+        for lod, (positions, joints, weights) in zip(model.lods, expand_levels(ctx, model))
+    ]
+
+
+def bake_level_places(
+    meshes: Sequence[LevelMesh], matrices: NDArray[np.float32], most_bytes: int, most_places: int
+) -> list[Places | None]:
+    """Ready-made places of the coarsest levels: of as many as memory and their own error allow.
+
+    Parameters
+    ----------
+    meshes : sequence of LevelMesh, the finest first
+    matrices : (R, J, 3, 4) float32
+    most_bytes : int
+        Of all levels together.
+    most_places : int
+        Of one level.
+    """
+    found: list[Places | None] = [None] * len(meshes)
+    left = most_bytes
+    for number in range(len(meshes) - 1, -1, -1):
+        mesh = meshes[number]
+        if len(mesh.positions) == 0 or 4 * len(matrices) * len(mesh.positions) > 8 * max(left, 0):
+            break  # too many even if most vertices shared their places
+        places = bake_places(matrices, mesh.positions, mesh.joints, mesh.weights)
+        left -= places.texels.nbytes
+        if left < 0 or places.texels.shape[1] > most_places or places.rounding_m > ROUNDING_SHARE * mesh.error_m:
+            break
+        found[number] = places
+    return found
+
+
+def upload_level(
+    ctx: moderngl.Context, mesh: LevelMesh, places: Places | None, matrices: NDArray[np.float32]
+) -> CrowdLevel:
+    """Put a level on the GPU. Its indices are those of the mesh, and stay their owner's."""
+    shifts = [dropped_shift(matrices, mesh.positions, mesh.joints, mesh.weights, width) for width in (4, 8)]
+    eight = places is None and shifts[0] > DROPPED_SHARE * mesh.error_m and shifts[0] > shifts[1]
+    joints, weights = pick_joints(mesh.joints, mesh.weights, 8 if eight else 4)
+    numbers = np.zeros(len(mesh.positions), np.uint16) if places is None else places.place_of_vertex
+    vertices = ctx.buffer(vertex_bytes(mesh.positions, mesh.uvs, joints, weights, numbers))
+    texture = None
+    if places is not None:
+        texture = ctx.texture(places.texels.shape[::-1], 1, places.texels.tobytes(), dtype="u4")
+        texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        texture.repeat_x = texture.repeat_y = False
+    return CrowdLevel(
+        vertices=vertices,
+        indices=mesh.indices,
+        index_size=mesh.index_size,
+        groups=mesh.groups,
+        eight_joints=eight,
+        places=texture,
+        place_scale=(0.0, 0.0, 0.0) if places is None else tuple(places.scale.tolist()),
+        place_offset=(0.0, 0.0, 0.0) if places is None else tuple(places.offset.tolist()),
+        error_m=mesh.error_m + (shifts[int(eight)] if places is None else places.rounding_m),
+    )
+
+
+def vertex_bytes(
+    positions: Floats, uvs: Floats, joints: NDArray[np.uint16], weights: Floats, places: NDArray[np.uint16]
+) -> bytes:
+    """Vertices as crowd.vert reads them: position and uv float32, joints uint16, weights float16, place uint16 twice.
 
     Parameters
     ----------
     positions : (V, 3) float, metres
     uvs : (V, 2) float
     joints, weights : (V, 4 or 8)
+    places : (V,) uint16
     """
-    parts = (positions.astype("<f4"), uvs.astype("<f4"), joints.astype("<u2"), weights.astype("<f2"))
+    parts = (
+        *(positions.astype("<f4"), uvs.astype("<f4"), joints.astype("<u2"), weights.astype("<f2")),
+        np.repeat(places.astype("<u2")[:, None], 2, axis=1),
+    )
     rows = [np.ascontiguousarray(part).view(np.uint8).reshape(len(positions), -1) for part in parts]
     return np.concatenate(rows, axis=1).tobytes()

@@ -213,7 +213,6 @@ class Stage:
         camera: CameraMatrices,
         height_px: int,
         errors_m: Floats,
-        nearest_row: NDArray[np.bool_],
         threshold_px: float,
         level: int | None = None,
     ) -> Selection:
@@ -224,9 +223,7 @@ class Stage:
         camera : CameraMatrices
         height_px : int
         errors_m : (L,) float
-            Error of each level, whatever its source: geometry, and time where the nearest row is taken.
-        nearest_row : (L,) bool
-            Levels whose poses are rounded to the nearest row.
+            Error of each level.
         threshold_px : float
         level : int, optional
             One level for all.
@@ -240,14 +237,12 @@ class Stage:
             levels = np.full(len(numbers), level, dtype=np.int8)
         keys = (levels * 2 + self._mirrored[numbers]).astype(np.uint8)
         order = np.argsort(keys, kind="stable")  # a radix sort: linear in time
-        numbers, levels = numbers[order], levels[order]
+        numbers = numbers[order]
         counts = np.bincount(keys, minlength=2 * num_levels).reshape(num_levels, 2)
-        rows = self.pose_rows(numbers)
-        rows = np.where(nearest_row[levels], np.floor(rows + 0.5), rows)
         records = np.empty((len(numbers), INSTANCE_WORDS), dtype=np.float32)
         records[:, :12] = self._rows[numbers]
         records[:, 3:12:4] = self._positions[numbers] - camera.eye
-        records[:, 12] = rows
+        records[:, 12] = self.pose_rows(numbers)
         records[:, 13] = self.tints[numbers].view(np.float32)[:, 0]
         totals = counts.sum(axis=1)
         return Selection(records, np.cumsum(totals) - totals, counts[:, 0], counts[:, 1])

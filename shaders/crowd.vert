@@ -1,12 +1,14 @@
-// One actor of a crowd, an instance: its pose is a row of the baked clips, or the blend of two.
+// One actor of a crowd, an instance: its pose lies at a row of the baked clips, or between two.
 //
 // A level's vertices were expanded once from the textures (crowd_expand.vert): position at rest and the strongest
-// joints. That is what static.vert fetches for every actor anew.
+// joints. That is what static.vert fetches for every actor anew. Of a coarse level the places of all vertices in all
+// poses are ready-made (runtime/crowd_places.py): PLACED.
 #include "include/frame.glsl"
 #include "include/skinning.glsl"
+#include "include/joint_color.glsl"
 
 in vec3 in_position;
-in uvec4 in_joints;
+in uvec4 in_joints;      // the strongest first
 in vec4 in_weights;
 #ifdef EIGHT_JOINTS
 in uvec4 in_more_joints;
@@ -19,6 +21,12 @@ in vec4 in_world_row2;
 in float in_row;         // of the baked clips; the fraction lies on the way to the next one
 in vec4 in_tint;
 uniform int crowd_level;
+#ifdef PLACED
+in uint in_place;
+uniform usampler2D place_texture;   // a place along x, a pose a row: 11, 11 and 10 bits
+uniform vec3 place_scale;           // metres = whole number * scale + offset
+uniform vec3 place_offset;
+#endif
 
 out vec2 surface_uv;
 out vec3 surface_position;
@@ -30,6 +38,23 @@ flat out int surface_level;
 out vec3 surface_joint_color;
 #endif
 
+#ifdef PLACED
+vec3 whole_place(int row) {
+    uint packed_place = texelFetch(place_texture, ivec2(int(in_place), row), 0).r;
+    return vec3(uvec3(packed_place & 2047u, (packed_place >> 11u) & 2047u, packed_place >> 22u));
+}
+
+vec3 posed_point(int row, int next, float onwards) {
+    return mix(whole_place(row), whole_place(next), onwards) * place_scale + place_offset;
+}
+
+// What turns normals: the two strongest joints, in the nearest row.
+mat3x4 posed_frame(int row, int next, float onwards) {
+    int nearest = onwards < 0.5 ? row : next;
+    return joint_matrix(int(in_joints.x), nearest) * in_weights.x
+         + joint_matrix(int(in_joints.y), nearest) * in_weights.y;
+}
+#else
 mat3x4 blend_row(int row) {
     mat3x4 pose = joint_matrix(int(in_joints.x), row) * in_weights.x
                 + joint_matrix(int(in_joints.y), row) * in_weights.y
@@ -44,17 +69,27 @@ mat3x4 blend_row(int row) {
     return pose;
 }
 
+mat3x4 posed_frame(int row, int next, float onwards) {
+    mat3x4 pose = blend_row(row);
+    if (onwards > 0.0) {
+        pose = pose * (1.0 - onwards) + blend_row(next) * onwards;
+    }
+    return pose;
+}
+#endif
+
 void main() {
     int row = int(in_row);
-    mat3x4 pose = blend_row(row);
-#ifndef NEAREST_FRAME
     float onwards = in_row - float(row);
-    if (onwards > 0.0) {
-        pose = pose * (1.0 - onwards) + blend_row(row + 1) * onwards;
-    }
+    int next = row + int(onwards > 0.0);  // a clip's last row has no next
+    mat3x4 pose = posed_frame(row, next, onwards);
+#ifdef PLACED
+    vec3 point = posed_point(row, next, onwards);
+#else
+    vec3 point = transform_point(pose, in_position);
 #endif
     mat3x4 world = mat3x4(in_world_row0, in_world_row1, in_world_row2);
-    surface_position = transform_point(world, transform_point(pose, in_position));
+    surface_position = transform_point(world, point);
     gl_Position = clip_from_world * vec4(surface_position, 1.0);
     surface_uv = in_uv;
     surface_normal_matrix = normal_matrix(world) * normal_matrix(pose);
@@ -62,6 +97,12 @@ void main() {
     surface_tint = in_tint;
     surface_level = crowd_level;
 #ifdef SHOW_WEIGHTS
-    surface_joint_color = vec3(0.8);
+    surface_joint_color = joint_color(in_joints.x) * in_weights.x + joint_color(in_joints.y) * in_weights.y
+                        + joint_color(in_joints.z) * in_weights.z + joint_color(in_joints.w) * in_weights.w;
+#ifdef EIGHT_JOINTS
+    surface_joint_color +=
+        joint_color(in_more_joints.x) * in_more_weights.x + joint_color(in_more_joints.y) * in_more_weights.y
+      + joint_color(in_more_joints.z) * in_more_weights.z + joint_color(in_more_joints.w) * in_more_weights.w;
+#endif
 #endif
 }

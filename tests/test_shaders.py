@@ -24,7 +24,7 @@ VARIANTS: dict[str, list[dict[str, str | int]]] = {
     "patch.tesc": [{}, {"DUAL_QUATERNIONS": 1}],
     "attributes.vert": [BLOCK],
     "layouts.vert": [{"LAYOUT_LISTS": 1, "LISTS": 2}, {"LAYOUT_DENSE": 1, "LAYERS": 14}],
-    "crowd.vert": [{}, {"EIGHT_JOINTS": 1}, {"NEAREST_FRAME": 1}, {"SHOW_WEIGHTS": 1}],
+    "crowd.vert": [{}, {"EIGHT_JOINTS": 1}, {"PLACED": 1}, {"SHOW_WEIGHTS": 1}],
 }
 STAGE_FILES = sorted(path.name for path in SHADERS.iterdir() if path.suffix[1:] in SHADER_STAGES)
 

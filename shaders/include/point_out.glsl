@@ -2,6 +2,8 @@
 #ifndef POINT_OUT_GLSL
 #define POINT_OUT_GLSL
 
+#include "joint_color.glsl"
+
 out vec2 surface_uv;
 out vec3 surface_position;
 out mat3 surface_normal_matrix;
@@ -15,12 +17,6 @@ out vec3 surface_joint_color;
 invariant gl_Position;
 
 #ifdef SHOW_WEIGHTS
-vec3 joint_color(uint joint) {
-    float hue = fract(float(joint) * 0.61803399);
-    vec3 pure = clamp(abs(fract(hue + vec3(0.0, 2.0, 1.0) / 3.0) * 6.0 - 3.0) - 1.0, 0.0, 1.0);
-    return mix(vec3(1.0), pure, 0.55 + 0.4 * float((joint / 2u) % 2u)) * (0.6 + 0.4 * float(joint % 3u) / 2.0);
-}
-
 vec3 blend_joint_colors(vec2 uv) {
     vec4 shares;
     uint record = find_record(uv, shares);
