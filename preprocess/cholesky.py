@@ -11,7 +11,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import linalg
@@ -19,24 +18,6 @@ from scipy.sparse import linalg
 from preprocess.mesh import Floats
 
 FEW_CHANNELS = 8  # up to so many SuperLU's own substitution costs less than taking its factors out
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _substitute(starts, rows, values, pivots, x):
-    """Solve L D Lᵀ x = x in place. L by columns, its unit diagonal left out."""
-    num, channels = x.shape
-    for j in range(num):
-        for k in range(starts[j], starts[j + 1]):
-            i, value = rows[k], values[k]
-            for c in range(channels):
-                x[i, c] -= value * x[j, c]
-    for j in range(num - 1, -1, -1):
-        for c in range(channels):
-            x[j, c] /= pivots[j]
-        for k in range(starts[j], starts[j + 1]):
-            i, value = rows[k], values[k]
-            for c in range(channels):
-                x[j, c] -= value * x[i, c]
 
 
 @dataclass(frozen=True)
@@ -75,9 +56,11 @@ class Factor:
         """Solution for right-hand sides, (N, C) float64."""
         if right.shape[1] <= FEW_CHANNELS:
             return np.asarray(self.lu.solve(np.ascontiguousarray(right, np.float64)))
+        from preprocess.substitution import substitute  # numba takes 100 MB: only where it pays
+
         triangle = self._triangle
         x = np.array(right[triangle.order], np.float64, order="C")
-        _substitute(triangle.starts, triangle.rows, triangle.values, triangle.pivots, x)
+        substitute(triangle.starts, triangle.rows, triangle.values, triangle.pivots, x)
         result = np.empty_like(x)
         result[triangle.order] = x
         return result

@@ -22,12 +22,11 @@ from preprocess.erase import (
     measure_seams,
     plan_erasure,
     quantise,
-    quantise_weights,
 )
 from preprocess.erase import eraser as eraser_module
 from preprocess.erase import plan as plan_module
 from preprocess.erase.mips import mip_sizes, shrink
-from preprocess.erase.quantise import PEAK, STAY, TOLERATED, _gain
+from preprocess.erase.quantise import PEAK, REACH, STAY, TOLERATED, _best_steps
 from preprocess.erase.solve import GRADIENT_MASS, NotConvergedError
 from preprocess.erase.terms import inward_normals, jump_rows, lerp_targets, sample_rows, slope_rows, value_rows
 from preprocess.mesh import TexturedSurface
@@ -138,8 +137,8 @@ def test_coarse_solution_agrees_with_the_full_grid(monkeypatch):
         silhouette = np.zeros((128, 128), bool)
         silhouette.ravel()[plan.region.cells] = True
         away = ndimage.distance_transform_cdt(~silhouette, "chessboard") >= 4
-        assert np.abs(difference[plan.region.inside]).max() < 1.5 / 255
-        assert np.abs(difference[plan.region.inside & away]).max() < 1 / 255
+        assert np.abs(difference[plan.region.inside]).max() < 1 / 255
+        assert np.abs(difference[plan.region.inside & away]).max() < 0.5 / 255
 
 
 def test_constants_and_sums_survive():
@@ -321,34 +320,37 @@ def test_gain_equals_the_objective():
         over = np.maximum(np.abs(jump) - TOLERATED, 0)
         return strip.weights @ jump**2 + PEAK * np.sum(over**2) + STAY * np.sum((values - wanted) ** 2)
 
-    jump = strip.rows @ stored
-    columns = strip.columns
-    for texel in rng.integers(0, len(wanted), 20):
-        for step in (-2.0, 1.0):
-            gain = _gain(texel, step, columns.indices, columns.indptr, columns.data, strip.weights,
-                         np.full(len(jump), PEAK), jump, stored, wanted, TOLERATED, STAY)  # fmt: skip
+    jump = np.append(strip.rows @ stored, 0.0).astype(np.float32)
+    points, shares = strip.points_of_texel
+    texels = rng.integers(0, len(wanted), 40)
+    off = (stored - wanted)[texels].astype(np.float32)
+    weights = np.append(strip.weights, 0.0).astype(np.float32)[points[texels]]
+    peaks = np.where(points[texels] < len(strip.weights), np.float32(PEAK), np.float32(0))
+    reach = np.full(40, REACH, np.float32)
+    steps, gains = _best_steps(
+        jump[points[texels]], shares[texels], weights, peaks, off, -reach, reach, range(-2, 3)
+    )  # fmt: skip
+    assert np.count_nonzero(steps) > 5
+    for texel, step, gain in zip(texels, steps, gains, strict=True):
+        costs = []
+        for candidate in range(-2, 3):
             moved = stored.copy()
-            moved[texel] += step
-            assert gain == pytest.approx(objective(moved) - objective(stored), abs=1e-9)
+            moved[texel] += candidate
+            costs.append(objective(moved) - objective(stored))
+        assert costs[int(step) + 2] == pytest.approx(min(costs), abs=1e-3)
+        assert step == 0 or gain == pytest.approx(min(costs), rel=1e-3, abs=1e-3)
 
 
 @pytest.mark.parametrize("levels", [255, 65535])
-def test_stored_weights_are_a_partition_and_seamless(levels):
+def test_rounding_stays_near_and_in_range(levels):
+    """The search may take any integer within reach of the wanted value, and none beyond the range."""
     surface = MESHES["cube"]
-    seams = find_seams(surface)
-    weights = np.maximum(paint(64, 64, channels=6) - 0.45, 0)
-    weights[:, :, 0] += 0.05
-    weights /= weights.sum(axis=2, keepdims=True)
-    plan = plan_erasure(surface, seams, 64, 64)
-    solution = plan.erase(weights).texels
-    stored = quantise_weights(solution, plan.strip, levels)
-    assert (stored.sum(axis=2, dtype=np.int64) == levels).all()
-    plain = np.rint(np.clip(solution, 0, None) / np.clip(solution, 0, None).sum(2, keepdims=True) * levels)
-    assert plan.measure(stored).total.sum() < 0.25 * plan.measure(plain).total.sum()
-    if levels == 255:
-        assert plan.measure(stored).max.max() <= 0.5
-    empty = quantise_weights(np.zeros((64, 64, 6)), plan.strip, levels)
-    assert (empty[:, :, 0] == levels).all() and not empty[:, :, 1:].any()
+    plan = plan_erasure(surface, find_seams(surface), 64, 64)
+    image = np.round(paint(64, 64, seed=2) * 1.2 - 0.1, 3)  # out of range at both ends
+    strip = plan.strip
+    wanted = np.clip(image.reshape(-1, 3)[strip.texels], 0, 1) * levels
+    stored = quantise(image, strip, levels).reshape(-1, 3)[strip.texels]
+    assert np.abs(stored - wanted).max() <= REACH
 
 
 @pytest.mark.parametrize("size", [(64, 64), (48, 20)])

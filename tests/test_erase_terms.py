@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from preprocess.erase.grid import _fill_squares, _mark_near, build_grid
+from preprocess.erase.grid import _mark_near, build_grid
 from preprocess.erase.intervals import MERGE_REL, _cut, split_edges
 from preprocess.erase.region import find_inside, find_region, silhouette_lines
 from preprocess.erase.solve import GRADIENT_MASS, _square_elements, grid_matrix
+from preprocess.erase.spread import _blend_square, _find_free, spread_far, spread_near
 from preprocess.erase.terms import (
     inward_normals,
     jump_rows,
@@ -67,11 +70,9 @@ def test_cuts_equal_slow_twin():
     lines[1, 0] = [[1, 1], [4, 1]]  # along a texel line, from centre to centre
     lines[2, 1] = lines[2, 0]  # both sides equal
     lines[3, :, 1, 0] = lines[3, :, 0, 0]  # upright
-    offsets = np.arange(40) * 64
-    edges, start, end = np.empty(64 * 40, np.int32), np.empty(64 * 40), np.empty(64 * 40)
-    counts = _cut(lines, offsets, MERGE_REL, edges, start, end)
+    edges, start, end = _cut(lines)
     for e, expected in enumerate(cut_slowly(lines)):
-        mine = slice(offsets[e], offsets[e] + counts[e])
+        mine = edges == e
         np.testing.assert_allclose(np.append(start[mine], end[mine][-1]), expected, atol=1e-9)
 
 
@@ -203,6 +204,15 @@ def test_inside_equals_slow_twin(size):
     np.testing.assert_array_equal(find_inside(surface, width, height), expected)
 
 
+def test_inside_wraps_as_tiles_do():
+    cube = make_cube()
+    moved = dataclasses.replace(cube, uvs=cube.uvs * 1.7 + np.array([0.43, -0.91]))
+    tiles = dataclasses.replace(moved, uvs=(moved.uvs + 1) / 4)
+    expected = find_inside(tiles, 80, 60).reshape(4, 15, 4, 20).any(axis=(0, 2))
+    np.testing.assert_array_equal(find_inside(moved, 20, 15, repeat=True), expected)
+    np.testing.assert_array_equal(find_inside(moved, 20, 15), find_inside(tiles, 80, 60)[15:30, 20:40])
+
+
 def test_region_reads_what_samples_read():
     surface = make_cube()
     seams = find_seams(surface)
@@ -298,13 +308,48 @@ def test_mark_near_equals_slow_twin():
             np.testing.assert_array_equal(mask, expected)
 
 
-def test_fill_squares_is_bilinear():
+def test_squares_are_blended_bilinearly():
     change = np.array([[0.0, 1], [1.0, 2], [2.0, 0], [5.0, 1]])
-    texels, delta = np.empty(16, np.int64), np.empty((16, 2))
-    _fill_squares(np.array([[0, 1, 2, 3]]), np.array([4]), np.array([33]), 10, change, texels, delta)
-    y, x = np.divmod(texels - 33, 10)
-    image = change.reshape(2, 2, 2)
-    np.testing.assert_allclose(delta, sample_bilinear(image, px_to_uv(np.stack([x, y], axis=1) / 4, 2, 2)), atol=1e-14)
+    y, x = np.divmod(np.arange(16), 4)
+    expected = sample_bilinear(change.reshape(2, 2, 2), px_to_uv(np.stack([x, y], axis=1) / 4, 2, 2))
+    np.testing.assert_allclose(_blend_square(4) @ change, expected, atol=1e-14)
+
+
+@pytest.mark.parametrize("repeat", [False, True])
+def test_every_texel_gets_its_change_once(repeat):
+    """A change that is linear in place is the same on squares of every size, and relaxing it at k / 4k keeps it."""
+    surface = make_square()
+    region = find_region(surface, find_seams(surface), 256, 256, repeat=repeat)
+    grid = build_grid(region, fine_reach=2, reach=2)
+    y, x = np.divmod(np.arange(256 * 256), 256)
+    linear = np.stack([1.0 + x + 2.0 * y, 5.0 - x], axis=1)
+    found = np.full((256 * 256, 2), np.nan)
+    times = np.zeros(256 * 256, int)
+    for texels, change in spread_far(grid, linear[grid.nodes], 0.0):
+        assert len(np.unique(texels)) == len(texels)
+        times[texels] += ~np.isin(texels, grid.nodes)
+        found[texels] = change
+    texels, change = spread_near(grid, region, linear[grid.nodes], 0.0, 0.25)
+    assert (times[texels] == 0).all() and times.max() == 1
+    found[texels] = change
+    inside = region.inside.ravel()
+    np.testing.assert_allclose(found[inside], linear[inside], atol=1e-10)
+
+
+def test_relaxed_texels_have_their_neighbours_and_no_seam():
+    surface = make_cube()
+    seams = find_seams(surface)
+    region = find_region(surface, seams, 64, 64)
+    grid = build_grid(region, fine_reach=2, reach=2)
+    texels = np.unique(np.concatenate([grid.nodes, np.flatnonzero(region.inside)]))
+    rows, above, below = _find_free(texels, region)
+    assert len(rows) > 100
+    np.testing.assert_array_equal(texels[above], texels[rows] - 64)
+    np.testing.assert_array_equal(texels[below], texels[rows] + 64)
+    np.testing.assert_array_equal(texels[rows - 1], texels[rows] - 1)
+    np.testing.assert_array_equal(texels[rows + 1], texels[rows] + 1)
+    read = split_edges(silhouette_lines(surface, seams), 64, 64).texels
+    assert not np.isin(texels[rows], read).any()
 
 
 def test_weights_table_of_gradient_mass():

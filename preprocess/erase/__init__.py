@@ -4,7 +4,6 @@ from preprocess.erase.eraser import Erased, Eraser
 from preprocess.erase.faults import Decision, choose_color_seams, choose_normal_seams, draw_decision
 from preprocess.erase.mips import Level, erase_mips
 from preprocess.erase.options import GLOBAL, LOCAL, EraseOptions, Weights
-from preprocess.erase.partition import quantise_weights
 from preprocess.erase.plan import erase, plan_erasure
 from preprocess.erase.quantise import quantise
 from preprocess.erase.strip import SeamMeasure, SeamStrip, build_strip, measure_seams
@@ -29,5 +28,4 @@ __all__ = [
     "measure_seams",
     "plan_erasure",
     "quantise",
-    "quantise_weights",
 ]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from preprocess.erase.grid import Grid, spread_change
+from preprocess.erase.grid import Grid
 from preprocess.erase.intervals import Intervals
 from preprocess.erase.options import EraseOptions
 from preprocess.erase.quantise import round_strip
@@ -29,6 +29,7 @@ from preprocess.erase.solve import (
     solve_bounded,
     solve_change,
 )
+from preprocess.erase.spread import spread_far, spread_near
 from preprocess.erase.strip import SeamMeasure, SeamStrip, build_strip, measure_intervals
 from preprocess.erase.terms import lerp_targets
 from preprocess.mesh import Floats, TexturedSurface
@@ -142,13 +143,13 @@ class Eraser:
         solution = self._solve(texels, 1.0, sample_values, end_values, bounds)
         result = np.array(texels, np.float64, order="C", copy=True)
         flat = result.reshape(-1, result.shape[2])
-        for where, change in spread_change(self.grid, solution.change, solution.negligible):
-            flat[where] += change
-        nodes, values = self.grid.nodes, solution.values + solution.change
-        flat[nodes] = values
-        if bounds is not None:
+        source = texels.reshape(flat.shape)
+        for where, change in self._spread(solution, solution.negligible):
+            flat[where] = source[where] + change
+        if bounds is not None and self.factor is not None:
             np.clip(flat, *bounds, out=flat)
-            flat[self.strip.texels] = values[self.grid.node_of(self.strip.texels)]
+            on_seam = self.grid.node_of(self.strip.texels)
+            flat[self.strip.texels] = solution.values[on_seam] + solution.change[on_seam]
         return Erased(result, solution.before, solution.after, solution.repeats)
 
     def erase_stored(self, stored: NDArray[Any], *, end_values: Floats | None = None) -> Erased:
@@ -181,18 +182,27 @@ class Eraser:
         solution = self._solve(stored, 1.0 / levels, None, end_values, bounds)
         result = np.array(stored, order="C", copy=True)
         flat = result.reshape(-1, result.shape[2])
-        for where, change in spread_change(self.grid, solution.change, max(solution.negligible, 0.25 / levels)):
-            flat[where] = np.clip(np.rint(flat[where] + change * levels), 0, levels)
-        nodes = self.grid.nodes
-        values = solution.values + solution.change
-        flat[nodes] = np.clip(np.rint(values * levels), 0, levels)
+        source = stored.reshape(flat.shape)
+        for where, change in self._spread(solution, max(solution.negligible, 0.25 / levels)):
+            flat[where] = np.clip(np.rint(source[where] + change * levels), 0, levels)
         worst = 0.0
         if self.factor is not None:
             strip = self.strip
-            rounded = round_strip(values[self.grid.node_of(strip.texels)], strip, levels)
+            on_seam = self.grid.node_of(strip.texels)
+            rounded = round_strip(solution.values[on_seam] + solution.change[on_seam], strip, levels)
             worst = float(np.abs(strip.rows @ rounded).max(initial=0.0))
             flat[strip.texels] = rounded
         return Erased(result, solution.before, solution.after, solution.repeats), worst
+
+    def _spread(self, solution: Solution, negligible: float) -> Iterator[tuple[NDArray[np.int64], Floats]]:
+        """Texels and their change: first those of the larger squares, then the nodes and all that is near them."""
+        if self.factor is None:
+            return
+        yield from spread_far(self.grid, solution.change, negligible)
+        weights, num_inside = self.options.weights, max(self.region.num_inside, 1)
+        stiffness = weights.inside_gradient * GRADIENT_MASS
+        attenuation = stiffness / max(4 * stiffness + weights.change / num_inside, 1e-300)
+        yield spread_near(self.grid, self.region, solution.change, negligible, attenuation)
 
     @cached_property
     def strip(self) -> SeamStrip:

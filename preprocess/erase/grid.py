@@ -13,19 +13,14 @@ coarse system is exactly Sᵀ A S of the full grid's A, with S the interpolation
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 
 from preprocess.erase.region import Region
 from preprocess.mesh import Floats
-
-# Texels that a change is spread to at a time.
-BATCH = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -73,23 +68,17 @@ class Grid:
         return found
 
 
-@njit(cache=True)
-def _mark_near(x, y, reach, shift, repeat, mask):
+def _mark_near(
+    x: NDArray[np.int64], y: NDArray[np.int64], reach: int, shift: int, repeat: bool, mask: NDArray[np.bool_]
+) -> None:
     """Mark the squares within reach of the given ones, or with shift 1 those of twice the side that hold them."""
     rows, columns = mask.shape
-    for n in range(x.shape[0]):
-        for dy in range(-reach, reach + 1):
-            row = (y[n] + dy) >> shift
-            if repeat:
-                row %= rows
-            elif row < 0 or row >= rows:
-                continue
-            for dx in range(-reach, reach + 1):
-                column = (x[n] + dx) >> shift
-                if repeat:
-                    mask[row, column % columns] = True
-                elif 0 <= column < columns:
-                    mask[row, column] = True
+    # Twice as large ones: the squares from n - reach to n + reach lie in exactly 1 + reach of them.
+    row, column = (y - reach) >> shift, (x - reach) >> shift
+    for dy in range(1 + (reach if shift else 2 * reach)):
+        there = (row + dy) % rows if repeat else np.clip(row + dy, 0, rows - 1)
+        for dx in range(1 + (reach if shift else 2 * reach)):
+            mask[there, (column + dx) % columns if repeat else np.clip(column + dx, 0, columns - 1)] = True
 
 
 def _split_squares(
@@ -250,51 +239,3 @@ def build_grid(region: Region, *, fine_reach: int = 4, reach: int = 3) -> Grid:
         inside=region.inside.ravel()[nodes],
         size_px=(width, height),
     )
-
-
-@njit(cache=True)
-def _fill_squares(squares, sides, corners, width, change, texels, delta):
-    """Write every covered texel's index and bilinear change, square by square, right and lower sides excepted."""
-    channels = change.shape[1]
-    n = 0
-    for q in range(squares.shape[0]):
-        side = sides[q]
-        for dy in range(side):
-            fy = dy / side
-            for dx in range(side):
-                fx = dx / side
-                texels[n] = corners[q] + dy * width + dx
-                for c in range(channels):
-                    top = (1.0 - fx) * change[squares[q, 0], c] + fx * change[squares[q, 1], c]
-                    low = (1.0 - fx) * change[squares[q, 2], c] + fx * change[squares[q, 3], c]
-                    delta[n, c] = (1.0 - fy) * top + fy * low
-                n += 1
-
-
-def spread_change(grid: Grid, node_change: Floats, negligible: float) -> Iterator[tuple[NDArray[np.int64], Floats]]:
-    """Interpolate the change over the squares, a batch of texels at a time.
-
-    Parameters
-    ----------
-    grid : Grid
-    node_change : (N, C) float64
-    negligible : float
-        Squares whose corners all change by no more than this are left out.
-
-    Yields
-    ------
-    texels : (M,) int64
-        Flat indices; nodes occur among them too, with the same change.
-    change : (M, C) float64
-    """
-    moves = np.abs(node_change).max(axis=1, initial=0.0) > negligible
-    active = np.flatnonzero(moves[grid.squares].any(axis=1) & (grid.square_sides > 1))
-    area = grid.square_sides[active] ** 2
-    batch = np.cumsum(area) // BATCH
-    for part in np.split(active, np.flatnonzero(np.diff(batch)) + 1):
-        sides = grid.square_sides[part]
-        num = int((sides**2).sum())
-        texels, change = np.empty(num, np.int64), np.empty((num, node_change.shape[1]))
-        squares = grid.squares[part]
-        _fill_squares(squares, sides, grid.nodes[squares[:, 0]], grid.size_px[0], node_change, texels, change)
-        yield texels, change

@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from preprocess.mesh import Floats
@@ -95,40 +94,30 @@ class Intervals:
         return 0.5 * (self.end + self.start)[:, None] + half * nodes, half * weights
 
 
-@njit(cache=True)
-def _cut(lines_px, offsets, merge, edges, start, end):
-    """Fill the interval arrays, edge e from offsets[e] on; return how many each edge has.
-
-    Every axis of every side crosses integer lines in one direction, so its crossings come in order: the next cut is
-    the smallest of the axes' next crossings.
-    """
-    num_edges, num_sides = lines_px.shape[0], lines_px.shape[1]
-    counts = np.zeros(num_edges, np.int64)
-    line = np.empty(4)
-    step = np.empty(4)
-    for e in range(num_edges):
-        for a in range(2 * num_sides):
-            first, last = lines_px[e, a // 2, 0, a % 2], lines_px[e, a // 2, 1, a % 2]
-            step[a] = 1.0 if last > first else (-1.0 if last < first else 0.0)
-            line[a] = np.floor(first) + 1.0 if last > first else np.ceil(first) - 1.0
-        at, n = 0.0, offsets[e]
-        while at < 1.0:
-            cut = 1.0
-            for a in range(2 * num_sides):
-                first, last = lines_px[e, a // 2, 0, a % 2], lines_px[e, a // 2, 1, a % 2]
-                while step[a] != 0.0:
-                    gamma = (line[a] - first) / (last - first)
-                    if gamma > at + merge:
-                        cut = min(cut, gamma)
-                        break
-                    line[a] += step[a]
-            if cut > 1.0 - merge:
-                cut = 1.0
-            edges[n], start[n], end[n] = e, at, cut
-            n += 1
-            at = cut
-        counts[e] = n - offsets[e]
-    return counts
+def _cut(lines_px: Floats) -> tuple[NDArray[np.int64], Floats, Floats]:
+    """Cut edges (E, K, 2, 2) where a side crosses an integer line: edge, start and end of every interval, in order."""
+    num_edges, num_tracks = len(lines_px), 2 * lines_px.shape[1]
+    tracks = lines_px.transpose(0, 1, 3, 2).reshape(-1, 2)  # (E K 2 axes, 2 ends)
+    low, high = np.ceil(tracks.min(axis=1)), np.floor(tracks.max(axis=1))
+    count = np.where(tracks[:, 0] == tracks[:, 1], 0, np.maximum(high - low + 1, 0)).astype(np.int64)
+    track = np.repeat(np.arange(len(tracks)), count)
+    line = low[track] + np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    first, last = tracks[track].T
+    gamma = (line - first) / (last - first)
+    # Crossings of all axes of an edge in one order, behind its start; those next to another one are the same.
+    edges = np.concatenate([np.arange(num_edges), track // num_tracks])
+    gamma = np.concatenate([np.zeros(num_edges), gamma])
+    kept = gamma < 1 - MERGE_REL
+    edges, gamma = edges[kept], gamma[kept]
+    order = np.lexsort((gamma, edges))
+    edges, gamma = edges[order], gamma[order]
+    is_new = np.ones(len(edges), np.bool_)
+    is_new[1:] = (edges[1:] != edges[:-1]) | (gamma[1:] > gamma[:-1] + MERGE_REL)
+    edges, start = edges[is_new], gamma[is_new]
+    end = np.ones(len(edges))
+    goes_on = np.flatnonzero(edges[1:] == edges[:-1])
+    end[goes_on] = start[goes_on + 1]
+    return edges, start, end
 
 
 def split_edges(uv_lines: Floats, width: int, height: int, *, repeat: bool = False) -> Intervals:
@@ -150,14 +139,7 @@ def split_edges(uv_lines: Floats, width: int, height: int, *, repeat: bool = Fal
     """
     num_sides = uv_lines.shape[1]
     lines_px = np.ascontiguousarray(uv_to_px(uv_lines, width, height)).reshape(-1, num_sides, 2, 2)
-    reach = np.abs(lines_px[:, :, 1] - lines_px[:, :, 0]).sum(axis=(1, 2))
-    room = np.ceil(reach).astype(np.int64) + 2 * num_sides + 1
-    offsets = np.concatenate([[0], np.cumsum(room)])
-    edges = np.empty(offsets[-1], np.int32)
-    start, end = np.empty(offsets[-1]), np.empty(offsets[-1])
-    counts = _cut(lines_px, offsets[:-1], MERGE_REL, edges, start, end)
-    kept = np.repeat(offsets[:-1] - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts) + np.arange(counts.sum())
-    edges, start, end = edges[kept], start[kept], end[kept]
+    edges, start, end = _cut(lines_px)
     middle = (0.5 * (start + end))[:, None, None]
     points = (1 - middle) * lines_px[edges][:, :, 0] + middle * lines_px[edges][:, :, 1]
     if not repeat:
@@ -165,4 +147,4 @@ def split_edges(uv_lines: Floats, width: int, height: int, *, repeat: bool = Fal
     cells = np.floor(points).astype(np.int32)
     if not repeat:
         cells = np.minimum(cells, (max(width - 2, 0), max(height - 2, 0))).astype(np.int32)
-    return Intervals(edges, start, end, cells, lines_px, (width, height), repeat)
+    return Intervals(edges.astype(np.int32), start, end, cells, lines_px, (width, height), repeat)

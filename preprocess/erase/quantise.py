@@ -1,16 +1,19 @@
 """Rounding to integers that keeps seams closed (method, section 3: what is stored is seamless).
 
 Plain rounding moves each of the eight texels that meet at a seam point by up to half a step, so the two sides may
-part by a whole one. Here every texel of the seam strip may take any integer, and a local search finds those for which
-the jump along the seams is small everywhere. The objective, over points P along the seams (see `strip`):
+part by a whole one. Here every texel of the seam strip may take any integer near its wanted value, and a local search
+finds those for which the jump along the seams is small everywhere. The objective, over points P along the seams (see
+`strip`):
 
     Σ_P weight · jump²  +  Σ_P peak · max(|jump| - TOLERATED, 0)²  +  STAY Σ (stored - wanted)²
 
-Texels are visited in order; each takes the step that lowers the objective most; whenever one moves, all texels that
-share a point with it are visited again. Where a point still jumps by more than `LIMIT` when nothing moves any more,
-its peak weight grows and the search goes on (guided local search, Voudouris and Tsang 1999). In 8 bits this ends below
-the limit; in 16 bits, where a texture's slope is many steps a texel, a few points may stay between it and two steps.
-Values never leave the range: the search moves within it.
+Each texel in turn takes the step that lowers the objective most; when one moves, all texels that share a point with it
+are visited again. Where a point still jumps by more than `LIMIT` when nothing moves any more, its peak weight grows
+and the search goes on (guided local search, Voudouris and Tsang 1999). Values never leave the range, nor go further
+than `REACH` steps from what is wanted.
+
+Texels that share no point move independently, so many are visited at once, group by group (`SeamStrip.groups`); of
+several that do share one only that with the largest gain moves.
 """
 
 from __future__ import annotations
@@ -18,115 +21,164 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from preprocess.erase.strip import SeamStrip
 from preprocess.mesh import Floats
+
+Singles = NDArray[np.float32]
 
 # Jumps, in steps of the format. The aim is 0.5 at every point of every seam.
 LIMIT = 0.42
 TOLERATED = 0.3
 PEAK = 100.0
 STAY = 0.005
+REACH = 4.0
 
-# Peak weights grow by this factor a round, for at most so many rounds; the best round counts.
+# Peak weights grow by this factor a round, for at most so many rounds, or so many without a smaller peak.
 GROWTH = 1.5
 MAX_ROUNDS = 24
-MANY_STEPS = 8.0
-MAX_VISITS = 60  # a texel; 8-bit searches end after about ten
+MAX_IDLE_ROUNDS = 8
+MAX_SWEEPS = 24  # a round
+
+AT_A_TIME = 4096  # visits: their points fit the processor's cache
+SMALLEST_GAIN = 1e-5
 
 
-@njit(cache=True, error_model="numpy")
-def _gain(t, step, points, point_at, point_weight, weights, peaks, jump, stored, wanted, tolerated, stay):
-    """Change of the objective when texel t moves by step."""
-    off = stored[t] - wanted[t]
-    gain = stay * step * (step + 2.0 * off)
-    for k in range(point_at[t], point_at[t + 1]):
-        p = points[k]
-        old = jump[p]
-        new = old + step * point_weight[k]
-        gain += weights[p] * (new * new - old * old)
-        over_old, over_new = max(abs(old) - tolerated, 0.0), max(abs(new) - tolerated, 0.0)
-        gain += peaks[p] * (over_new * over_new - over_old * over_old)
-    return gain
+def _seam_cost(jump: Singles, weights: Singles, peaks: Singles) -> Singles:
+    """Cost of the points of each row, (M, D) to (M,)."""
+    over = np.maximum(np.abs(jump) - np.float32(TOLERATED), np.float32(0))
+    return np.asarray((weights * jump * jump + peaks * over * over).sum(axis=1))
 
 
-@njit(cache=True, error_model="numpy")
-def _long_step(t, points, point_at, point_weight, weights, peaks, jump, tolerated):
-    """The whole number of steps that would close the jumps round texel t best."""
-    slope, curvature = 0.0, 1e-12
-    for k in range(point_at[t], point_at[t + 1]):
-        p, w = points[k], point_weight[k]
-        stiffness = weights[p] + (peaks[p] if abs(jump[p]) > tolerated else 0.0)
-        slope += stiffness * w * jump[p]
-        curvature += stiffness * w * w
-    return -np.rint(slope / curvature)
+def _best_steps(
+    jump: Singles,
+    share: Singles,
+    weights: Singles,
+    peaks: Singles,
+    off: Singles,
+    low: Singles,
+    high: Singles,
+    steps: range,
+) -> tuple[Singles, Singles]:
+    """The step that lowers each texel's cost most, zero where none does, and by how much.
 
+    Parameters
+    ----------
+    jump, share, weights, peaks : (M, D) float32
+        Of the points of each texel: jump, the texel's weight in it, the point's own weight and peak weight.
+    off, low, high : (M,) float32
+        What is stored less what is wanted, and the least and the most that this may be.
+    steps : range
+        Candidates.
 
-@njit(cache=True, error_model="numpy")
-def _search(
-    texel_at, texels, point_at, points, point_weight, weights, wanted, stored, jump, peaks, queue, waiting, best_stored,
-    top, settings,
-):  # fmt: skip
-    """Move the stored integers of one channel until no jump exceeds the limit or nothing helps.
-
-    The first two arrays are the strip's rows (texels a point), the next three its transpose (points a texel). From
-    `stored` on arrays are changed in place: the integers, their jumps, the points' peak weights, a queue of all texels
-    and whether each waits in it. The result is `best_stored`.
+    Returns
+    -------
+    step, gain : (M,) float32
     """
-    tolerated, stay, limit, growth, max_rounds = settings
-    num_points, num_texels = len(weights), len(stored)
-    best_jump = np.inf
-    head, count, rounds, visits = 0, num_texels, 0, 0
-    while rounds < max_rounds and visits < MAX_VISITS * num_texels:
-        moved, step = -1, 0.0
-        if count > 0:
-            t = queue[head]
-            head = (head + 1) % num_texels
-            count -= 1
-            waiting[t] = False
-            visits += 1
-            far = _long_step(t, points, point_at, point_weight, weights, peaks, jump, tolerated)
-            best = -1e-9
-            for k in range(-2, 3):
-                candidate = far if k == 0 else float(k)
-                if 0.0 <= stored[t] + candidate <= top:
-                    gain = _gain(t, candidate, points, point_at, point_weight, weights, peaks, jump, stored, wanted,
-                                 tolerated, stay)  # fmt: skip
-                    if gain < best:
-                        best, moved, step = gain, t, candidate
-            if moved < 0:
-                continue
-            stored[t] += step
-            first, last = point_at[t], point_at[t + 1]
-        else:
-            rounds += 1
-            worst = 0.0
-            for p in range(num_points):
-                worst = max(worst, abs(jump[p]))
-            if worst < best_jump:
-                best_jump = worst
-                for t in range(num_texels):
-                    best_stored[t] = stored[t]
-            if worst <= limit:
+    before = _seam_cost(jump, weights, peaks)
+    best, gain = np.zeros_like(off), np.full_like(off, -SMALLEST_GAIN)
+    for step in steps:
+        if step == 0:
+            continue
+        change = _seam_cost(jump + np.float32(step) * share, weights, peaks) - before
+        change += np.float32(STAY * step) * (step + 2 * off)
+        allowed = (off + step <= high) & (off + step >= low)
+        better = allowed & (change < gain)
+        gain[better], best[better] = change[better], step
+    return best, gain
+
+
+class _Search:
+    """The integers of a strip's texels on their way. C channels, N texels, P points.
+
+    Texels and points have one more row, of no meaning, that short rows of the strip's tables refer to.
+    """
+
+    def __init__(self, wanted: Floats, strip: SeamStrip, levels: int) -> None:
+        """Start at plain rounding; wanted is (C, N), in steps."""
+        self.strip = strip
+        self.num_channels, self.num_texels = wanted.shape
+        num_points = len(strip.weights)
+        self.points, self.shares = strip.points_of_texel
+        self.weights = np.append(strip.weights, 0.0).astype(np.float32)
+        self.wanted = wanted
+        self.stored = np.rint(wanted)
+        self.jump = np.zeros((self.num_channels, num_points + 1), np.float32)
+        self.jump[:, :-1] = (strip.rows @ self.stored.T).T
+        self.peaks = np.full_like(self.jump, PEAK)
+        self.off = (self.stored - wanted).astype(np.float32)
+        self.low = np.maximum(-REACH, -wanted - 0.01).astype(np.float32)
+        self.high = np.minimum(REACH, levels - wanted + 0.01).astype(np.float32)
+        self.waits = np.ones((self.num_channels, self.num_texels + 1), np.bool_)
+        self.waits[:, -1] = False
+        self.owner = np.zeros(self.jump.size, np.int32)
+        # Texels of each group, those with few points first, so that tables can be cut to the longest row in use.
+        self.degree = np.diff(strip.columns.indptr)
+        order = np.lexsort((self.degree, strip.groups))
+        self.groups = [g for g in np.split(order, np.searchsorted(strip.groups[order], np.arange(1, 8))) if len(g)]
+
+    def sweep(self, steps: range) -> bool:
+        """Visit all texels that wait; return whether any moved."""
+        moved = False
+        for members in self.groups:
+            which, channel = np.nonzero(self.waits[:, members].T)
+            for start in range(0, len(which), AT_A_TIME):
+                part = slice(start, start + AT_A_TIME)
+                moved |= self._visit(members[which[part]], channel[part], steps)
+        return moved
+
+    def _visit(self, texel: NDArray[np.int64], channel: NDArray[np.int64], steps: range) -> bool:
+        self.waits[channel, texel] = False
+        width = int(self.degree[texel].max(initial=1))
+        points, share = self.points[texel, :width], self.shares[texel, :width]
+        at = points + (channel * self.jump.shape[1])[:, None]
+        jump = self.jump.ravel()[at]
+        step, gain = _best_steps(
+            jump, share, self.weights[points], self.peaks.ravel()[at],
+            self.off[channel, texel], self.low[channel, texel], self.high[channel, texel], steps,
+        )  # fmt: skip
+        moving = np.flatnonzero(step)
+        if not len(moving):
+            return False
+        moving = moving[np.argsort(-gain[moving], kind="stable")]
+        # The last to claim a point has it: that with the largest gain.
+        rank = np.arange(len(moving), dtype=np.int32)[:, None]
+        self.owner[at[moving]] = rank
+        wins = ((self.owner[at[moving]] == rank) | (share[moving] == 0)).all(axis=1)
+        loses = moving[~wins]
+        self.waits[channel[loses], texel[loses]] = True
+        moving = moving[wins]
+        texel, channel, step, at = texel[moving], channel[moving], step[moving], at[moving]
+        self.stored[channel, texel] += step
+        self.off[channel, texel] += step
+        self.jump.ravel()[at] = jump[moving] + step[:, None] * share[moving]
+        self.jump[:, -1] = 0.0
+        near = self.strip.texels_of_point[np.minimum(points[moving], len(self.weights) - 2)]
+        self.waits[channel[:, None, None], near] = True
+        self.waits[:, -1] = False
+        return True
+
+    def run(self) -> Floats:
+        """Search until no point exceeds the limit or nothing helps; the integers with the smallest peak, (C, N)."""
+        best, best_peak = self.stored.copy(), np.full(self.num_channels, np.inf)
+        idle, steps = 0, range(-1, 2)
+        for _ in range(MAX_ROUNDS):
+            for _ in range(MAX_SWEEPS):
+                if not self.sweep(steps):
+                    break
+            peak = np.abs(self.jump).max(axis=1, initial=0.0)
+            lower = peak < best_peak
+            best[lower], best_peak[lower] = self.stored[lower], peak[lower]
+            idle = 0 if lower.any() else idle + 1
+            if (best_peak <= LIMIT).all() or idle == MAX_IDLE_ROUNDS:
                 break
-            first, last = 0, num_points
-        for k in range(first, last):
-            p = k
-            if moved >= 0:
-                p = points[k]
-                jump[p] += step * point_weight[k]
-            elif abs(jump[p]) > limit:
-                peaks[p] *= growth
-            else:
-                continue
-            for n in range(texel_at[p], texel_at[p + 1]):
-                u = texels[n]
-                if not waiting[u]:
-                    waiting[u] = True
-                    queue[(head + count) % num_texels] = u
-                    count += 1
+            channel, point = np.nonzero((np.abs(self.jump[:, :-1]) > LIMIT) & (best_peak > LIMIT)[:, None])
+            self.peaks[channel, point] *= GROWTH
+            self.waits[channel[:, None], self.strip.texels_of_point[point]] = True
+            self.waits[:, -1] = False
+            steps = range(-2, 3)
+        return best
 
 
 def round_strip(values: Floats, strip: SeamStrip, levels: int) -> Floats:
@@ -145,21 +197,7 @@ def round_strip(values: Floats, strip: SeamStrip, levels: int) -> Floats:
     (N, C) float64
         Whole numbers from 0 to levels.
     """
-    wanted = np.ascontiguousarray(np.clip(values, 0, 1).T) * levels
-    rounded = np.rint(wanted)
-    num_texels, num_points = len(strip.texels), len(strip.weights)
-    rows, columns = strip.rows, strip.columns
-    settings = (TOLERATED, STAY, LIMIT, GROWTH, MAX_ROUNDS)
-    result = rounded.copy()
-    for channel in range(len(wanted)):
-        if levels > 255 and np.abs(rows @ wanted[channel]).max(initial=0.0) > MANY_STEPS:
-            continue  # the solution itself jumps by many steps (a finite seam weight): rounding adds nothing
-        _search(
-            rows.indptr, rows.indices, columns.indptr, columns.indices, columns.data,
-            strip.weights, wanted[channel], rounded[channel], rows @ rounded[channel], np.full(num_points, PEAK),
-            np.arange(num_texels), np.ones(num_texels, np.bool_), result[channel], float(levels), settings,
-        )  # fmt: skip
-    return result.T
+    return _Search(np.ascontiguousarray(np.clip(values, 0, 1).T) * levels, strip, levels).run().T
 
 
 def quantise(texels: Floats, strip: SeamStrip, levels: int) -> NDArray[Any]:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from preprocess.erase.intervals import Intervals, split_edges
@@ -21,6 +20,8 @@ from preprocess.texels import bilinear_stencil, uv_to_px
 
 # Texel centres this close to a triangle count as inside, so that no centre on a shared edge falls between two.
 RASTER_SLACK_PX = 1e-7
+
+BAND_ROWS = 256
 
 
 @dataclass(frozen=True)
@@ -64,41 +65,46 @@ class Region:
         return self.inside.shape[0]
 
 
-@njit(cache=True)
-def _fill_triangles(triangles_px, slack, repeat, inside):
-    """Mark the texel centres in each triangle, row by row."""
-    height, width = inside.shape
-    for t in range(triangles_px.shape[0]):
-        x0, y0 = triangles_px[t, 0, 0], triangles_px[t, 0, 1]
-        x1, y1 = triangles_px[t, 1, 0], triangles_px[t, 1, 1]
-        x2, y2 = triangles_px[t, 2, 0], triangles_px[t, 2, 1]
-        low, high = min(y0, y1, y2), max(y0, y1, y2)
-        first, last = int(np.ceil(low - slack)), int(np.floor(high + slack))
-        if not repeat:
-            first, last = max(first, 0), min(last, height - 1)
-        for row in range(first, last + 1):
-            y = min(max(float(row), low), high)
-            left, right = np.inf, -np.inf
-            for k in range(3):
-                if k == 0:
-                    ax, ay, bx, by = x0, y0, x1, y1
-                elif k == 1:
-                    ax, ay, bx, by = x1, y1, x2, y2
-                else:
-                    ax, ay, bx, by = x2, y2, x0, y0
-                if min(ay, by) <= y <= max(ay, by):
-                    if ay == by:
-                        left, right = min(left, ax, bx), max(right, ax, bx)
-                    else:
-                        x = ax + (y - ay) / (by - ay) * (bx - ax)
-                        left, right = min(left, x), max(right, x)
-            begin, stop = int(np.ceil(left - slack)), int(np.floor(right + slack))
-            if repeat:
-                for column in range(begin, stop + 1):
-                    inside[row % height, column % width] = True
-            else:
-                for column in range(max(begin, 0), min(stop, width - 1) + 1):
-                    inside[row, column] = True
+def _find_spans(triangles_px: Floats, slack: float) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Runs of texel centres inside triangles, row by row: row, first and last column; each (S,) int64."""
+    y = triangles_px[:, :, 1]
+    low, high = y.min(axis=1), y.max(axis=1)
+    first = np.ceil(low - slack).astype(np.int64)
+    count = np.maximum(np.floor(high + slack).astype(np.int64) - first + 1, 0)
+    triangle = np.repeat(np.arange(len(triangles_px)), count)
+    row = first[triangle] + np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    at = np.clip(row, low[triangle], high[triangle])
+    left, right = np.full(len(row), np.inf), np.full(len(row), -np.inf)
+    start, end = triangles_px, np.roll(triangles_px, -1, axis=1)
+    rise = end[:, :, 1] - start[:, :, 1]
+    slope = (end[:, :, 0] - start[:, :, 0]) / np.where(rise == 0, 1.0, rise)
+    for k in range(3):
+        meets = (np.minimum(start[:, k, 1], end[:, k, 1])[triangle] <= at) & (
+            at <= np.maximum(start[:, k, 1], end[:, k, 1])[triangle]
+        )
+        hit = np.flatnonzero(meets)
+        which = triangle[hit]
+        # A level edge counts from end to end.
+        x = start[which, k, 0] + (at[hit] - start[which, k, 1]) * slope[which, k]
+        other = np.where(rise[which, k] == 0, end[which, k, 0], x)
+        left[hit] = np.minimum(left[hit], np.minimum(x, other))
+        right[hit] = np.maximum(right[hit], np.maximum(x, other))
+    begin, stop = np.ceil(left - slack).astype(np.int64), np.floor(right + slack).astype(np.int64)
+    holds = begin <= stop
+    return row[holds], begin[holds], stop[holds]
+
+
+def _wrap_spans(
+    row: NDArray[np.int64], begin: NDArray[np.int64], stop: NDArray[np.int64], width: int, height: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Spans brought into the image by whole images; those that leave it on the right go on at the left."""
+    stop = np.minimum(stop, begin + width - 1)
+    stop -= begin // width * width
+    begin = begin % width
+    over = stop >= width
+    row = np.concatenate([row, row[over]]) % height
+    begin = np.concatenate([begin, np.zeros(np.count_nonzero(over), np.int64)])
+    return row, begin, np.concatenate([np.minimum(stop, width - 1), stop[over] - width])
 
 
 def find_inside(surface: TexturedSurface, width: int, height: int, *, repeat: bool = False) -> NDArray[np.bool_]:
@@ -108,9 +114,22 @@ def find_inside(surface: TexturedSurface, width: int, height: int, *, repeat: bo
     -------
     (H, W) bool
     """
+    row, begin, stop = _find_spans(uv_to_px(surface.uvs, width, height)[surface.face_uvs], RASTER_SLACK_PX)
+    if repeat:
+        row, begin, stop = _wrap_spans(row, begin, stop, width, height)
+    else:
+        kept = (row >= 0) & (row < height) & (begin < width) & (stop >= 0)
+        row, begin, stop = row[kept], np.maximum(begin[kept], 0), np.minimum(stop[kept], width - 1)
     inside = np.zeros((height, width), np.bool_)
-    triangles = np.ascontiguousarray(uv_to_px(surface.uvs, width, height)[surface.face_uvs])
-    _fill_triangles(triangles, RASTER_SLACK_PX, repeat, inside)
+    # Running sums over a band of rows: plus one where a span begins, minus one behind its end.
+    for top in range(0, height, BAND_ROWS):
+        band = inside[top : top + BAND_ROWS]
+        mine = np.flatnonzero((row >= top) & (row < top + len(band)))
+        line = (row[mine] - top) * (width + 1)
+        steps = np.zeros(len(band) * (width + 1), np.int32)
+        np.add.at(steps, line + begin[mine], np.int32(1))
+        np.add.at(steps, line + stop[mine] + 1, np.int32(-1))
+        band[:] = np.cumsum(steps, dtype=np.int32).reshape(len(band), -1)[:, :-1] > 0
     return inside
 
 
