@@ -70,9 +70,7 @@ class PointCapture:
         ctx = model.ctx
         self._renderer = Renderer(ctx, shader_defines=defines)
         program = capture_program(ctx, {**defines, **model.shader_defines})
-        self._renderer._passes._programs["depth", True, bool(model.shader_defines)] = (
-            program  # released with the renderer
-        )
+        self._renderer._passes.adopt(program, "depth", True, model)
         self._storage = ctx.buffer(reserve=16 + POINT_BYTES * MAX_POINTS)
 
     def points(self, actor: Actor, camera: Camera, level: int, tessellation: float | str) -> np.ndarray:

@@ -67,7 +67,7 @@ class Passes:
     def __init__(self, ctx: moderngl.Context, defines: Mapping[str, str | int]) -> None:
         self.ctx = ctx
         self._defines = defines
-        self._programs: dict[tuple[str, bool, bool], moderngl.Program] = {}
+        self._programs: dict[tuple[str | bool, ...], moderngl.Program] = {}
         self._models: weakref.WeakSet[Model] = weakref.WeakSet()
         self._is_software = any(name in ctx.info["GL_RENDERER"] for name in SOFTWARE_RENDERERS)
 
@@ -83,17 +83,38 @@ class Passes:
         for model in self._models:
             model.levels.forget_programs(id(self))
 
-    def _program(self, name: str, view: View, tessellated: bool, model: Model) -> moderngl.Program:
-        key = (name, tessellated, bool(model.shader_defines))
-        if key not in self._programs:
+    def adopt(self, program: moderngl.Program, name: str, tessellated: bool, model: Model) -> None:
+        """Draw a view of a model with a program that was made elsewhere; it is released with the others."""
+        for part in (part for lod in model.lods for part in lod.groups):
+            self._programs[_program_key(name, tessellated, model, part.material)] = program
+
+    def _program(self, look: Look, tessellated: bool, model: Model, material: MaterialData) -> moderngl.Program:
+        key = _program_key(look.name, tessellated, model, material)
+        program = self._programs.get(key)
+        if program is None:
+            view = look.view
             stages = [*(PATCH_STAGES if tessellated else ("static.vert",))]
             if view.fragment:
                 stages.append(view.fragment)
-            defines = {**self._defines, **view.defines, **model.shader_defines}
+            defines = {
+                **self._defines,
+                **view.defines,
+                **model.shader_defines,
+                **dict.fromkeys(what_it_lacks(model, material), 1),
+            }
             program = build_program(self.ctx, stages, defines, view.text, view.folder)
             set_uniforms(program, TEXTURE_UNITS)
+            set_uniforms(program, view.uniforms)
             self._programs[key] = program
-        return self._programs[key]
+        return program
+
+    def _prepare(self, look: Look, tessellated: bool, model: Model, material: MaterialData) -> moderngl.Program:
+        """The program for a material, with all its uniforms."""
+        program = self._program(look, tessellated, model, material)
+        set_uniforms(program, model.constants)
+        set_material(program, material, look.view.blends)
+        set_uniforms(program, look.uniforms)
+        return program
 
     # Drawing
 
@@ -115,12 +136,6 @@ class Passes:
             for group in groups:
                 self._draw_lines(gl, group, look)
 
-    def _bind(self, group: Group, program: moderngl.Program, look: Look) -> None:
-        group.model.bind_textures()
-        set_uniforms(program, group.model.constants)
-        set_uniforms(program, look.view.uniforms)
-        set_uniforms(program, look.uniforms)
-
     def _draw_faces(self, gl: Functions, group: Group, look: Look, blended: bool | None) -> None:
         """Draw the ranges of a level: all of them, or those that are blended, or those that are not."""
         model, view = group.model, look.view
@@ -128,12 +143,8 @@ class Passes:
         ranges = [part for part in lod.groups if blended is None or (part.material.alpha_mode == "BLEND") == blended]
         if not ranges:
             return
-        program = self._program(look.name, view, group.tessellated, model)
-        self._bind(group, program, look)
+        model.bind_textures()
         kind = "patches" if group.tessellated else "triangles"
-        array = model.levels.vertex_array(
-            (id(self), look.name, group.tessellated), group.key, program, group.level, kind
-        )
         per_face = PATCH_VERTICES if group.tessellated else 3
         if group.tessellated:
             self.ctx.patch_vertices = PATCH_VERTICES
@@ -142,7 +153,8 @@ class Passes:
         gl.glFrontFace(gl_state.CW if group.mirrored else gl_state.CCW)
         for part in ranges:
             gl.switch(gl_state.CULL_FACE, not (part.material.double_sided or view.two_sided))
-            set_material(program, part.material, view.blends)
+            program = self._prepare(look, group.tessellated, model, part.material)
+            array = model.levels.vertex_array((id(self), program.glo), group.key, program, group.level, kind)
             for first in range(0, part.count, at_most or part.count):
                 faces = min(at_most or part.count, part.count - first)
                 start = (part.first + first) * per_face
@@ -166,10 +178,9 @@ class Passes:
         levels = group.model.levels
         if levels.seam_lines(group.level) is None:
             return
-        program = self._program("lines", LINES, False, group.model)
-        self._bind(group, program, over)
-        set_material(program, group.model.lods[group.level].groups[0].material, False)
-        array = levels.vertex_array((id(self), "lines", False), group.key, program, group.level, "seams")
+        group.model.bind_textures()
+        program = self._prepare(over, False, group.model, group.model.lods[group.level].groups[0].material)
+        array = levels.vertex_array((id(self), program.glo), group.key, program, group.level, "seams")
         array.render(moderngl.LINES, instances=len(group.records))
 
     def release(self) -> None:
@@ -178,6 +189,19 @@ class Passes:
         for program in self._programs.values():
             program.release()
         self._programs.clear()
+
+
+def what_it_lacks(model: Model, material: MaterialData) -> tuple[str, ...]:
+    """Preprocessor definitions that leave out of a program what a material does without (surface.glsl)."""
+    return (
+        *(("NO_CUTOUT",) if material.alpha_mode != "MASK" else ()),
+        *(("NO_EMISSION",) if not any(material.emissive_factor) else ()),
+        *(("NO_ORM",) if "orm" not in model.asset.textures else ()),
+    )
+
+
+def _program_key(name: str, tessellated: bool, model: Model, material: MaterialData) -> tuple[str | bool, ...]:
+    return name, tessellated, *model.shader_defines, *what_it_lacks(model, material)
 
 
 def _set_state(gl: Functions, view: View) -> None:

@@ -15,10 +15,13 @@ from builders_scene import SIDE_PX, Scene
 import runtime
 from preprocess.texels import sample_bilinear
 from preprocess.weights import unpack_weights
+from runtime import gl_state
 from runtime.asset import Asset, load
 from runtime.camera import Camera
 from runtime.environment import Environment, Lighting
 from runtime.errors import RenderError
+from runtime.gl_state import saved_state
+from runtime.programs import build_program
 from runtime.views import VIEWS
 
 
@@ -243,3 +246,46 @@ def test_the_package_offers_its_names_lazily() -> None:
 
 def test_weights_by_formula_sum_to_one() -> None:
     assert np.allclose(weights_at(surface_corners(4), 5).sum(axis=1), 1.0)
+
+
+CURVES = """
+#include "surface.glsl"
+out vec4 result;
+void main() {
+    float x = (gl_FragCoord.x - 0.5) / 1023.0;
+    result = vec4(decode_srgb(vec3(x)).r, encode_srgb(vec3(x)).r, encode_srgb(decode_srgb(vec3(x))).r, 1.0);
+}
+"""
+
+
+def test_colour_curves_are_those_of_srgb(ctx: moderngl.Context) -> None:
+    """Fits in place of powers: no 8-bit colour is off by more than a fifth of a step, there or back."""
+    program = build_program(ctx, ("stage.vert",), {}, CURVES)
+    target = ctx.texture((1024, 1), 4, dtype="f4")
+    framebuffer = ctx.framebuffer([target])
+    array = ctx.vertex_array(program, [])
+    with saved_state((0,), (0,), True) as gl:
+        for flag in (gl_state.DEPTH_TEST, gl_state.CULL_FACE, gl_state.BLEND):
+            gl.switch(flag, False)
+        framebuffer.use()
+        array.render(moderngl.TRIANGLES, vertices=3)
+        values = np.frombuffer(target.read(), np.float32).reshape(-1, 4).astype(float)
+    x = np.arange(1024) / 1023
+    decoded = np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
+    encoded = np.where(x <= 0.0031308, x * 12.92, 1.055 * x ** (1 / 2.4) - 0.055)
+    slope = np.gradient(decoded, x)
+    assert (np.abs(values[:, 0] - decoded) / slope).max() < 0.1 / 255
+    assert np.abs(values[:, 1] - encoded).max() < 0.12 / 255
+    assert np.abs(values[:, 2] - x).max() < 0.2 / 255
+    for thing in (array, framebuffer, target, program):
+        thing.release()
+
+
+@pytest.mark.parametrize("view", ["lit", "mask", "normal", "depth"])
+def test_what_a_material_lacks_is_left_out_unseen(scene: Scene, view: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    actor = scene.model.actor(clip="bend", time_s=0.25)
+    lean = scene.picture([actor], view=view)
+    assert any("NO_CUTOUT" in key for key in scene.renderer._passes._programs)
+    monkeypatch.setattr("runtime.passes.what_it_lacks", lambda model, material: ())
+    assert (scene.picture([actor], view=view) == lean).all()
+    assert any("NO_CUTOUT" not in key for key in scene.renderer._passes._programs)

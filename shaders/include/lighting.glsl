@@ -50,7 +50,8 @@ vec3 light_directly(Surface s, vec3 diffuse_color, vec3 f0) {
     float visibility = 0.5 / max(
         n_dot_l * sqrt(n_dot_v * n_dot_v * (1.0 - alpha_sq) + alpha_sq)
         + n_dot_v * sqrt(n_dot_l * n_dot_l * (1.0 - alpha_sq) + alpha_sq), 1e-5);
-    vec3 fresnel = f0 + (1.0 - f0) * pow(1.0 - v_dot_h, 5.0);
+    float grazing = 1.0 - v_dot_h;
+    vec3 fresnel = f0 + (1.0 - f0) * (grazing * grazing * (grazing * grazing) * grazing);
     vec3 reflected = fresnel * (distribution * visibility * PI);  // sun_color is in units of a white sheet's radiance
     return (diffuse_color * (1.0 - fresnel) + reflected) * sun_color.rgb * n_dot_l;
 }

@@ -21,6 +21,9 @@ uniform vec4 surface_factors;     // occlusion strength, roughness, metallic; al
 uniform vec3 emissive_factor;
 uniform int surface_flags;        // bit 0: blended, bit 1: unlit
 
+// Programs for materials that lack a thing are compiled without it: NO_CUTOUT (alpha mode MASK), NO_EMISSION, NO_ORM (no
+// occlusion-roughness-metallic texture).
+
 struct Surface {
     vec2 uv;
     vec3 position;     // metres, world axes, from the eye
@@ -35,15 +38,18 @@ struct Surface {
     bool unlit;
 };
 
+// sRGB's curves without powers: fits over [0, 1] that are off by 0.05 and 0.1 of an 8-bit step at most.
 vec3 decode_srgb(vec3 encoded) {
-    vec3 low = encoded / 12.92;
-    vec3 high = pow((max(encoded, 0.0) + 0.055) / 1.055, vec3(2.4));
+    vec3 low = encoded * (1.0 / 12.92);
+    vec3 high = (((encoded * -0.11678043 + 0.52647363) * encoded + 0.56040372) * encoded + 0.02839627) * encoded
+        + 0.00104673;
     return mix(low, high, step(0.04045, encoded));
 }
 
 vec3 encode_srgb(vec3 linear_color) {
     vec3 low = linear_color * 12.92;
-    vec3 high = 1.055 * pow(max(linear_color, 0.0), vec3(1.0 / 2.4)) - 0.055;
+    vec3 root = sqrt(max(linear_color, 0.0));
+    vec3 high = root * 0.83372401 + sqrt(root) * 0.29814008 - linear_color * 0.05531354 - 0.07691190;
     return mix(low, high, step(0.0031308, linear_color));
 }
 
@@ -59,14 +65,20 @@ vec3 shading_normal() {
 vec4 encoded_base_color() {
     vec4 texel = texture(base_color_texture, surface_uv);
     float alpha = texel.a * base_color_factor.a * surface_tint.a;
+#ifndef NO_CUTOUT
     if (alpha < surface_factors.w) discard;
+#endif
     return vec4(texel.rgb, (surface_flags & 1) != 0 ? alpha : 1.0);
 }
 
 Surface read_surface() {
     Surface s;
     vec4 encoded = encoded_base_color();
+#ifdef NO_ORM
+    vec3 orm = vec3(1.0);
+#else
     vec3 orm = texture(orm_texture, surface_uv).rgb;
+#endif
     s.uv = surface_uv;
     s.position = surface_position;
     s.normal = shading_normal();
@@ -76,7 +88,11 @@ Surface read_surface() {
     s.occlusion = 1.0 + surface_factors.x * (orm.r - 1.0);
     s.roughness = clamp(orm.g * surface_factors.y, 0.045, 1.0);
     s.metallic = clamp(orm.b * surface_factors.z, 0.0, 1.0);
+#ifdef NO_EMISSION
+    s.emissive = vec3(0.0);
+#else
     s.emissive = decode_srgb(texture(emissive_texture, surface_uv).rgb) * emissive_factor;
+#endif
     s.unlit = (surface_flags & 2) != 0;
     return s;
 }
