@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 Vec = tuple[float, float, float]
 
 # Points are visited in cubes of this size, so that far solids can be left out.
-_CHUNK_M = 0.09
+_CUBE_M = 0.09
 # No two solids further apart than this blend.
 _REACH_M = 0.12
 
@@ -40,17 +40,17 @@ class Cone:
         if self.flat_axis is not None:
             normal = np.array(self.flat_axis) / np.linalg.norm(self.flat_axis)
             stretch = 1.0 / self.flatness - 1.0
-            local = local + np.outer(_dot(local, normal) * stretch, normal)
+            local = local + (_dot(local, normal) * stretch)[:, None] * normal
             axis = axis + float(_dot(axis, normal)) * stretch * normal
         length = float(np.linalg.norm(axis))
         axis = axis / length
         along = _dot(local, axis)
-        across = np.sqrt(np.maximum((local * local).sum(axis=1) - along * along, 0.0))
+        across = np.sqrt(np.maximum(_squares(local) - along * along, 0.0))
         # The nearest of the spheres that sweep the cone: its contact direction leans by asin(slope).
-        slope = np.clip((self.radius_a - self.radius_b) / length, -0.95, 0.95)
-        t = np.clip((along - across * slope / np.sqrt(1.0 - slope * slope)) / length, 0.0, 1.0)
-        from_centre = local - np.outer(t * length, axis)
-        size = np.sqrt((from_centre * from_centre).sum(axis=1))
+        slope = min(max((self.radius_a - self.radius_b) / length, -0.95), 0.95)
+        t = _share((along - across * slope / np.sqrt(1.0 - slope * slope)) / length)
+        from_centre = local - (t * length)[:, None] * axis
+        size = np.sqrt(_squares(from_centre))
         distance = size - (self.radius_a + t * (self.radius_b - self.radius_a))
         if self.flat_axis is not None:
             thin = _dot(from_centre, normal) / np.maximum(size, 1e-9)
@@ -75,15 +75,25 @@ class Ellipsoid:
             axes = _turn(self.pitch, self.yaw, self.roll)
             local = np.stack([_dot(local, axes[:, k]) for k in range(3)], axis=1)
         scaled = local / np.array(self.radii)
-        size = np.sqrt((scaled * scaled).sum(axis=1))
-        steep = scaled / np.array(self.radii)
-        slope = np.sqrt((steep * steep).sum(axis=1))
+        size = np.sqrt(_squares(scaled))
+        slope = np.sqrt(_squares(scaled / np.array(self.radii)))
         return np.where(slope < 1e-9, -min(self.radii), size * (size - 1.0) / np.maximum(slope, 1e-9))
 
 
 def _dot(points: Floats, direction: Floats) -> Floats:
     """Dot products, rounded the same way whatever the number of points or threads (matrix products are not)."""
     return points[..., 0] * direction[0] + points[..., 1] * direction[1] + points[..., 2] * direction[2]
+
+
+def _squares(points: Floats) -> Floats:
+    """Squared lengths of (N, 3) points; a sum over an axis of three is far slower."""
+    x, y, z = points[:, 0], points[:, 1], points[:, 2]
+    return x * x + y * y + z * z
+
+
+def _share(values: Floats) -> Floats:
+    """Values held to [0, 1]."""
+    return np.minimum(np.maximum(values, 0.0), 1.0)
 
 
 def _turn(pitch: float, yaw: float, roll: float) -> Floats:
@@ -140,46 +150,39 @@ class Field:
         return points
 
     def _evaluate(self, points: Floats, with_regions: bool) -> tuple[Floats, Floats]:
+        """Join the pieces in order, each at the points that it matters to."""
         folded = points * np.array([1.0, 1.0, 1.0])
         folded[:, 0] = np.abs(folded[:, 0])
-        distance = np.empty(len(points))
-        mix = np.empty((len(points), len(self.regions) if with_regions else 0))
-        for rows, near in self._chunks(folded):
-            distance[rows], mix[rows] = self._blend(folded[rows], near, with_regions)
+        names = self.regions
+        distance = np.full(len(points), 10.0)
+        mix = np.zeros((len(points), len(names) if with_regions else 0))
+        if not len(points):
+            return distance, mix
+        cube_of_point, matters = self._cubes(folded)
+        for piece, cubes in zip(self.pieces, matters):
+            rows = np.flatnonzero(cubes[cube_of_point])
+            before, other = distance[rows], piece.solid.distance(folded[rows])
+            if piece.carve:
+                other = -other
+                share = _share(0.5 + 0.5 * (other - before) / piece.blend)
+                distance[rows] = before + (other - before) * share + piece.blend * share * (1.0 - share)
+            else:
+                share = _share(0.5 + 0.5 * (before - other) / piece.blend)
+                distance[rows] = before + (other - before) * share - piece.blend * share * (1.0 - share)
+            if with_regions:
+                mix[rows] *= (1.0 - share)[:, None]
+                mix[rows, names.index(piece.region)] += share
         return distance, mix
 
-    def _chunks(self, folded: Floats) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-        """Points gathered in cubes, each with the pieces that can matter there."""
-        if not len(folded):
-            return []
-        cells = np.floor(folded / _CHUNK_M).astype(np.int64) + 512
+    def _cubes(self, folded: Floats) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """The cube of each point, (N,), and which pieces can matter in which cube, (P, number of cubes)."""
+        cells = np.floor(folded / _CUBE_M).astype(np.int64) + 512
         keys = (cells[:, 0] * 1024 + cells[:, 1]) * 1024 + cells[:, 2]
-        order = np.argsort(keys, kind="stable")
-        starts = np.flatnonzero(np.r_[True, np.diff(keys[order]) > 0])
-        groups = np.split(order, starts[1:])
-        centres = np.asarray((cells[order[starts]] - 512 + 0.5) * _CHUNK_M, np.float64)
-        radius = 0.5 * np.sqrt(3.0) * _CHUNK_M
+        _, first, cube_of_point = np.unique(keys, return_index=True, return_inverse=True)
+        centres = (cells[first] - 512 + 0.5) * _CUBE_M
+        radius = 0.5 * np.sqrt(3.0) * _CUBE_M
         at_centre = np.stack([piece.solid.distance(centres) for piece in self.pieces])
         carve = np.array([piece.carve for piece in self.pieces])
         nearest = at_centre[~carve].min(axis=0)
         limit = np.where(carve[:, None], radius + 0.03, nearest + 2.0 * radius + _REACH_M)
-        return [(rows, np.flatnonzero(keep)) for rows, keep in zip(groups, (at_centre <= limit).T)]
-
-    def _blend(self, points: Floats, near: NDArray[np.int64], with_regions: bool) -> tuple[Floats, Floats]:
-        names = self.regions
-        distance = np.full(len(points), 10.0)
-        mix = np.zeros((len(points), len(names) if with_regions else 0))
-        for index in near:
-            piece = self.pieces[index]
-            other = piece.solid.distance(points)
-            if piece.carve:
-                other = -other
-                share = np.clip(0.5 + 0.5 * (other - distance) / piece.blend, 0.0, 1.0)
-                distance = distance + (other - distance) * share + piece.blend * share * (1.0 - share)
-            else:
-                share = np.clip(0.5 + 0.5 * (distance - other) / piece.blend, 0.0, 1.0)
-                distance = distance + (other - distance) * share - piece.blend * share * (1.0 - share)
-            if with_regions:
-                mix *= (1.0 - share)[:, None]
-                mix[:, names.index(piece.region)] += share
-        return distance, mix
+        return cube_of_point, at_centre <= limit
