@@ -41,6 +41,9 @@ class DecimateOptions:
     seam_tolerance_uv : float
         Largest uv distance, summed over all collapses, by which a seam may leave its line and its timing at an exact
         level: room for the rounding of uvs that are straight, and far below what any texture resolves.
+    peak_weight : float
+        How much the largest deviation of a collapse counts beside its mean, which the quadrics know: at 1 a collapse
+        costs what it would if all of an average star of faces deviated as much. 0 leaves it to the quadrics.
     relaxed_px : float
         Largest such distance at levels below the exact floor, in texels of the mip level they are seen at; 0 for none.
     drop_parts : bool
@@ -55,6 +58,7 @@ class DecimateOptions:
     min_faces: int = 50
     uv_weight_rel: float = 0.05
     seam_tolerance_uv: float = 1e-9
+    peak_weight: float = 0.7
     relaxed_px: float = 0.5
     drop_parts: bool = True
     texture_px: int = 1024
@@ -86,6 +90,8 @@ class Lod:
         Whole parts of the mesh left out because they are smaller than the level's error.
     uv_bound_px : float
         How far seams left their lines, in texels of the finest mip; 0 (rounding aside) where exact.
+    fetch_uvs : (V, 2) float64 or None
+        Where each surface vertex fetches its geometry, if not at its owner's uv.
     """
 
     uvs: Floats
@@ -100,6 +106,7 @@ class Lod:
     exact: bool = True
     uv_bound_px: float = 0.0
     dropped_parts: int = 0
+    fetch_uvs: Floats | None = None
 
     @property
     def num_faces(self) -> int:
