@@ -51,8 +51,9 @@ class Actor:
         Object space to world; identity by default.
     tint : (3,) or (4,) float
         Multiplies the base colour, linear.
-    root_motion : bool
-        Let the clip carry the actor over the ground: `update` moves `transform` rather than the root joint.
+    root_motion : bool or "turn"
+        Let the clip carry the actor over the ground: `update` moves `transform` rather than the root joint. With
+        "turn" it turns the actor about +Y as well.
     time_s, speed, loop
         As for `play`.
     """
@@ -64,7 +65,7 @@ class Actor:
         *,
         transform: ArrayLike | None = None,
         tint: ArrayLike = (1.0, 1.0, 1.0, 1.0),
-        root_motion: bool = False,
+        root_motion: bool | str = False,
         time_s: float = 0.0,
         speed: float = 1.0,
         loop: bool = True,
@@ -76,13 +77,15 @@ class Actor:
         self._transform: NDArray[np.float64] = np.eye(4)
         self._tint: NDArray[np.float32] = np.ones(4, dtype=np.float32)
         self._attached: list[tuple[HasTransform, int, NDArray[np.float64]]] = []
-        self._root_motion = root_motion
+        self._root_motion = bool(root_motion)
         try:
             self.tint = tint
             if transform is not None:
                 self.transform = transform
+            if isinstance(root_motion, str) and root_motion != "turn":
+                raise ValueError(f"root_motion {root_motion!r} is unknown: use False, True or 'turn'")
             if root_motion:
-                self._mixer.moves_root(self._row, True)
+                self._mixer.moves_root(self._row, True, turns=root_motion == "turn")
             if clip is not None:
                 self.play(clip, time_s=time_s, speed=speed, loop=loop)
         except ValueError:
@@ -185,8 +188,7 @@ class Actor:
         """
         self._mixer.note_time(self.row, dt_s)
         if self._root_motion:
-            moved = self._mixer.take_displacement(self.row)
-            self._transform[:3, 3] += self._transform[:3, :3] @ moved
+            self._transform[:] = self._transform @ self._mixer.take_root_step(self.row)
         if self._attached:
             self._place_attached()
 

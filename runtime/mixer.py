@@ -21,7 +21,7 @@ from runtime.clip import Clip
 from runtime.joints_from_code import JointsFromCode
 from runtime.layers import Layer, make_layer
 from runtime.pose import Pose, rest_pose, sample, skinning_rows, wrap_times
-from runtime.root_motion import RootMotion
+from runtime.root_motion import RootMotion, compose, motion_matrix
 from runtime.skeleton import Skeleton
 
 Floats = NDArray[np.floating[Any]]
@@ -62,7 +62,8 @@ class Mixer:
         self._pending = np.zeros(0)
         self._dirty = np.zeros(0, dtype=bool)
         self._moves_root = np.zeros(0, dtype=bool)
-        self._displacement = np.zeros((0, 3))
+        self._turns_root = np.zeros(0, dtype=bool)
+        self._root_step = np.zeros((0, 3))
         self._joint_rows: Floats = np.zeros((0, skeleton.num_joints, 3, 4), dtype=_DTYPE)
         self._node_rows: Floats = np.zeros((0, skeleton.num_nodes, 3, 4), dtype=_DTYPE)
         self._given = JointsFromCode(skeleton)
@@ -81,8 +82,8 @@ class Mixer:
         row = self._free.pop()
         self._clip[row], self._weight[row], self._time[row] = _SILENCE, 0.0, 0.0
         self._layer_weight[row], self._fade_rate[row], self._newest[row] = 1.0, 0.0, 0
-        self._pending[row], self._displacement[row] = 0.0, 0.0
-        self._dirty[row], self._moves_root[row] = True, False
+        self._pending[row], self._root_step[row] = 0.0, 0.0
+        self._dirty[row], self._moves_root[row], self._turns_root[row] = True, False, False
         self._given.clear(row)
         return row
 
@@ -99,7 +100,7 @@ class Mixer:
 
         for name in (
             *("_clip", "_time", "_speed", "_loop", "_weight", "_newest", "_fade_rate", "_layer_weight", "_pending"),
-            *("_dirty", "_moves_root", "_displacement", "_joint_rows", "_node_rows"),
+            *("_dirty", "_moves_root", "_turns_root", "_root_step", "_joint_rows", "_node_rows"),
         ):
             setattr(self, name, longer(getattr(self, name)))
         self._given.grow(capacity)
@@ -299,18 +300,24 @@ class Mixer:
         self._pending += dt_s
         self._dirty[:] = True
 
-    def moves_root(self, row: int, enabled: bool) -> None:
-        """Whether a row's clip moves its actor rather than its root joint."""
+    def moves_root(self, row: int, enabled: bool, turns: bool = False) -> None:
+        """Whether a row's clip moves its actor rather than its root joint, and whether it turns it too."""
         self.flush(np.array([row]))
-        self._moves_root[row] = enabled
+        self._moves_root[row], self._turns_root[row] = enabled, enabled and turns
         self._dirty[row] = True
 
-    def take_displacement(self, row: int) -> NDArray[np.float64]:
-        """How far the root has moved since last asked, (3,) metres in object space, for rows that move their root."""
+    def take_root_step(self, row: int) -> NDArray[np.float64]:
+        """How the root has moved over the ground since last asked, for rows that move their root.
+
+        Returns
+        -------
+        (4, 4) float64
+            In object space: to be applied before the actor's own transform.
+        """
         self.flush(np.array([row]))
-        moved = self._displacement[row].copy()
-        self._displacement[row] = 0.0
-        return moved
+        step = motion_matrix(self._root_step[row])
+        self._root_step[row] = 0.0
+        return step
 
     def flush(self, rows: Rows) -> None:
         """Carry out the time noted for some rows: clocks, fades, root motion."""
@@ -334,15 +341,17 @@ class Mixer:
         self._weight[rows] = weights
 
     def _note_root(self, rows: Rows, before: NDArray[np.float64]) -> None:
-        """Add up how far the root of some rows has moved."""
+        """Add up how the root of some rows has moved."""
         after, clips, weights = self._time[rows, 0], self._clip[rows, 0], self._weight[rows, 0]
         heard = (weights > 0) & (clips != _SILENCE)
         totals = np.maximum(weights.sum(axis=1), 1e-30)
+        steps = np.zeros((len(rows), 3))
         for number in np.unique(clips[heard]):
             at, slot = np.nonzero(heard & (clips == number))
-            loops = self._loop[rows[at], 0, slot]
-            moved = self._root.displacement(self.clips[number], before[at, 0, slot], after[at, slot], loops)
-            np.add.at(self._displacement, rows[at], moved * (weights[at, slot] / totals[at])[:, None])
+            loops, turns = self._loop[rows[at], 0, slot], self._turns_root[rows[at]]
+            moved = self._root.step(self.clips[number], before[at, 0, slot], after[at, slot], loops, turns)
+            np.add.at(steps, at, moved * (weights[at, slot] / totals[at])[:, None])
+        self._root_step[rows] = compose(self._root_step[rows], steps)
 
     # Poses
 
@@ -384,7 +393,7 @@ class Mixer:
             wrapped = wrap_times(times[at, slot], clip.duration_s, loops[at, slot])
             part = sample(clip, self.skeleton, np.zeros_like(wrapped) if first_frame else wrapped, dtype=_DTYPE)
             if which == 0 and self._moves_root[rows[at]].any():
-                self._root.hold(clip, part, self._moves_root[rows[at]])
+                self._root.hold(clip, part, self._moves_root[rows[at]], self._turns_root[rows[at]])
             parts.append((at, weights[at, slot], part))
         if not parts:
             return None

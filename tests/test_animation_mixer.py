@@ -173,6 +173,134 @@ def test_root_motion_walks_the_actor_and_not_the_root(walker: Any) -> None:
     assert (in_place.transform == np.eye(4)).all()
 
 
+def walking_clip(skeleton: Skeleton, root: int, seed: int, rotates: bool = True) -> Clip:
+    """The root wanders, bobs and turns, and does not end where it began; a node below swings."""
+    rng = np.random.default_rng(seed)
+    times = np.linspace(0, 1.3, 7)
+    way = Track(root, "translation", "LINEAR", times, np.cumsum(rng.normal(0.2, 0.3, (7, 3)), axis=0))
+    angles = np.cumsum(rng.uniform(0.1, 0.9, 7))
+    lean = 0.15 * rng.normal(size=7)
+    # A turn about +Y after a lean about +X.
+    turn = np.stack([np.cos(angles / 2) * np.sin(lean), np.sin(angles / 2) * np.cos(lean),
+                     -np.sin(angles / 2) * np.sin(lean), np.cos(angles / 2) * np.cos(lean)], axis=1)  # fmt: skip
+    tracks = [way, Track(root, "rotation", "LINEAR", times, turn)] if rotates else [way]
+    below = turn_clip("", skeleton.num_nodes - 1, 0.7, 1.3).tracks
+    return Clip("wander", 1.3, (*tracks, *below))
+
+
+def free_motion(model: Any, clip: Clip, root: int, time_s: float, turns: bool) -> np.ndarray:
+    """The root's motion over the ground since the start of the first round, (4, 4): one actor, one time, by hand."""
+    skeleton = model.mixer.skeleton
+    rounds, inside = divmod(time_s, clip.duration_s)
+
+    def since_start(moment: float) -> np.ndarray:
+        places = []
+        for at in (0.0, moment):
+            places.append(global_transforms(skeleton, sample(clip, skeleton, at))[0, root])
+        angle = 0.0
+        if turns:
+            between = places[1][:3, :3] @ np.linalg.inv(places[0][:3, :3])
+            angle = 2 * np.arctan2(between[0, 2] - between[2, 0], 1 + np.trace(between))
+        result = np.eye(4)
+        result[:3, :3] = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
+        ground = np.array([1.0, 0.0, 1.0])
+        result[:3, 3] = ground * places[1][:3, 3] - result[:3, :3] @ (ground * places[0][:3, 3])
+        return result
+
+    return np.linalg.matrix_power(since_start(clip.duration_s), int(rounds)) @ since_start(inside)
+
+
+@pytest.mark.parametrize("turns", [False, True])
+@pytest.mark.parametrize("speed", [1.0, -0.7])
+@pytest.mark.parametrize("above", [False, True])
+def test_root_motion_and_the_held_pose_together_are_the_clip(turns: bool, speed: float, above: bool) -> None:
+    skeleton = straight_skeleton(4)
+    if above:  # the root hangs below a node that is turned, mirrored and scaled
+        skeleton.rotation[0] = [0.5, 0.1, -0.3, np.sqrt(1 - 0.35)]
+        skeleton.root_transform[:3, :3] = np.diag([-1.7, 1.7, 1.7])
+        skeleton.root_transform[:3, 3] = [0.3, 0.2, -4]
+    root = 1 if above else 0
+    clip = walking_clip(skeleton, root, 3)
+    model = model_of(skeleton, [clip])
+    start = np.eye(4)
+    start[:3, :3] = 1.2 * np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    actor = Actor(model, "wander", root_motion="turn" if turns else True, transform=start, speed=speed)
+    total = 0.0
+    for dt in (0.0, 0.3, 0.01, 0.7, 0.4, 2.9, 0.0, 0.2):  # over one seam of the loop and over several at once
+        actor.update(dt)
+        total += speed * dt
+        carried = free_motion(model, clip, root, total, turns)
+        np.testing.assert_allclose(actor.transform, start @ carried, atol=1e-9)
+        # In the world every joint is where the clip alone, round after round, would have it.
+        rounds, inside = divmod(total, clip.duration_s)
+        free = global_transforms(skeleton, sample(clip, skeleton, inside))[0]
+        whole = free_motion(model, clip, root, rounds * clip.duration_s, turns)
+        for node in range(root, skeleton.num_nodes):  # what is above the root goes with the actor
+            wanted = start @ whole @ free[node]
+            np.testing.assert_allclose(actor.joint_transform(node), wanted, atol=2e-5)
+    held = actor.joint_transform(root)
+    np.testing.assert_allclose(
+        (np.linalg.inv(actor.transform) @ held)[[0, 2], 3],
+        global_transforms(skeleton, sample(clip, skeleton, 0.0))[0, root, [0, 2], 3],
+        atol=1e-5,
+    )
+
+
+def test_a_turn_below_a_stretched_frame_is_left_alone() -> None:
+    skeleton = straight_skeleton(3)
+    skeleton.root_transform[:3, :3] = np.diag([1.0, 1.0, 3.0])
+    model = model_of(skeleton, [walking_clip(skeleton, 0, 1)])
+    actor, other = Actor(model, 0, root_motion="turn"), Actor(model, 0, root_motion=True)
+    for one in (actor, other):
+        one.update(1.0)
+    np.testing.assert_allclose(actor.transform, other.transform)
+    np.testing.assert_allclose(actor.joint_rows, other.joint_rows)
+
+
+def test_a_constant_written_out_is_no_root(walker: Any) -> None:
+    skeleton = walker.mixer.skeleton
+    still = Track(0, "translation", "LINEAR", np.array([0.0, 1.0]), np.array([[0, 1, 0], [0, 1, 0.0]]))
+    way = Track(1, "translation", "LINEAR", np.array([0.0, 1.0]), np.array([[0, 1, 0], [2, 1, 0.0]]))
+    actor = Actor(walker, Clip("walk", 1.0, (still, way)), root_motion=True)
+    actor.update(0.5)
+    np.testing.assert_allclose(actor.transform[:3, 3], [1, 0, 0], atol=1e-9)
+    spin = Actor(walker, turn_clip("turn", 0, 0.5), root_motion="turn")  # about +X: no turn over the ground
+    spin.update(0.5)
+    np.testing.assert_allclose(spin.transform, np.eye(4), atol=1e-9)
+    assert skeleton.num_nodes == 3
+
+
+def test_whole_turns_add_up_while_clips_fade() -> None:
+    skeleton = straight_skeleton(3)
+    times = np.linspace(0, 1, 9)
+    angles = np.linspace(0, 2 * np.pi, 9)
+    values = np.stack([0 * angles, np.sin(angles / 2), 0 * angles, np.cos(angles / 2)], axis=1)
+    spin = Clip("spin", 1.0, (Track(0, "rotation", "LINEAR", times, values),))
+    model = model_of(skeleton, [spin, Clip("stand", 1.0, ())])
+    actor = Actor(model, "spin", root_motion="turn")
+    heading = 0.0
+    for _ in range(23):
+        before = actor.transform.copy()
+        actor.update(0.1)
+        step = np.linalg.inv(before) @ actor.transform
+        heading += np.arctan2(step[0, 2], step[0, 0])
+        np.testing.assert_allclose(actor.joint_rows[0], model.mixer.skeleton.inverse_bind[0, :3] + [[0, 0, 0, 0],
+                                   [0, 0, 0, 1], [0, 0, 0, 0]], atol=1e-5)  # fmt: skip
+    assert heading == pytest.approx(2.3 * 2 * np.pi)
+    actor.play("stand", fade_s=1.0)
+    turned = 0.0
+    for _ in range(20):
+        before = actor.transform.copy()
+        actor.update(0.05)
+        step = np.linalg.inv(before) @ actor.transform
+        turned += np.arctan2(step[0, 2], step[0, 0])
+    assert 0.4 * 2 * np.pi < turned < 0.6 * 2 * np.pi  # slower and slower: half a turn
+    actor.update(5.0)
+    after = actor.transform.copy()
+    actor.update(1.0)
+    np.testing.assert_allclose(actor.transform, after, atol=1e-9)
+
+
 def test_joints_from_code(walker: Any) -> None:
     actor = Actor(walker, "bend", time_s=0.5)
     own = actor.joint_rows.copy()
@@ -231,6 +359,7 @@ def test_misuse_says_what_to_do(walker: Any) -> None:
         (lambda: setattr(actor, "transform", np.full((4, 4), np.inf)), "finite 4×4"),
         (lambda: setattr(actor, "tint", (1, 2)), "three or four"),
         (lambda: Actor(walker, "fly"), "no clip"),
+        (lambda: Actor(walker, "walk", root_motion="fly"), "use False, True or 'turn'"),
         (lambda: walker.mixer.add_layer("base"), "already"),
         (lambda: walker.mixer.add_layer("x", "sum"), "unknown"),
         (lambda: walker.mixer.add_layer("x", nodes=[1, 0]), "one number a node"),
