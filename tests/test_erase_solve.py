@@ -26,7 +26,7 @@ from preprocess.erase import (
 from preprocess.erase import eraser as eraser_module
 from preprocess.erase import plan as plan_module
 from preprocess.erase.mips import mip_sizes, shrink
-from preprocess.erase.quantise import PEAK, REACH, STAY, TOLERATED, _best_steps
+from preprocess.erase.quantise import PEAK, REACH, STAY, TOLERATED, _best_steps, _Search
 from preprocess.erase.solve import GRADIENT_MASS, NotConvergedError
 from preprocess.erase.terms import inward_normals, jump_rows, lerp_targets, sample_rows, slope_rows, value_rows
 from preprocess.mesh import TexturedSurface
@@ -321,7 +321,10 @@ def test_gain_equals_the_objective():
         return strip.weights @ jump**2 + PEAK * np.sum(over**2) + STAY * np.sum((values - wanted) ** 2)
 
     jump = np.append(strip.rows @ stored, 0.0).astype(np.float32)
-    points, shares = strip.points_of_texel
+    search = _Search(wanted[None], strip, 255)
+    width = np.arange(search.degree.max())
+    entry = np.where(width < search.degree[:, None], search.starts[:-1, None] + width, -1)
+    points, shares = search.points[entry], search.shares[entry]
     texels = rng.integers(0, len(wanted), 40)
     off = (stored - wanted)[texels].astype(np.float32)
     weights = np.append(strip.weights, 0.0).astype(np.float32)[points[texels]]

@@ -105,7 +105,6 @@ class Eraser:
     intervals: Intervals
     lengths_m: Floats
     silhouette: Intervals
-    jump: sparse.csr_array
     factor: Factor | None
     rows: dict[str, sparse.csr_array] = field(default_factory=dict)
     value_scale: Floats | None = None
@@ -237,7 +236,7 @@ class Eraser:
         for name, weight, target in self._targets(values, sample_values, end_values):
             deviation = target - self.rows[name] @ values
             force += weight * (interpolation.T @ (self.rows[name].T @ deviation))
-        jump = self.jump @ values
+        jump = self.factor.jump @ values[self.grid.free]
         tolerance = TOLERANCE_REL if self.options.seam_weight is None else np.inf
         free, after, repeats = solve_change(self.factor, force / span, jump / span, tolerance)
         if bounds is not None:

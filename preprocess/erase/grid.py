@@ -33,6 +33,8 @@ class Grid:
         Flat texel index of every node, sorted.
     interpolation : (N, U) sparse array
         Node values from the free ones; the identity except at hanging nodes.
+    free : (U,) int64
+        Node of every free unknown. All nodes that seams read are free.
     texel_mass : (N,) float64
         How much of each node's texel the finest cells account for, 0 to 1 (squares account for the rest).
     edge_nodes : (E, 2) int64
@@ -51,6 +53,7 @@ class Grid:
 
     nodes: NDArray[np.int64]
     interpolation: sparse.csr_array
+    free: NDArray[np.int64]
     texel_mass: Floats
     edge_nodes: NDArray[np.int64]
     edge_mass: Floats
@@ -178,8 +181,10 @@ def _find_hanging(nodes: NDArray[np.int64], squares: NDArray[np.int64], sides: N
     return hanging, side_ends[hit][first]
 
 
-def _interpolate_hanging(num_nodes: int, hanging: NDArray[np.int64], ends: NDArray[np.int64]) -> sparse.csr_array:
-    """Matrix from free unknowns to all nodes, (N, U)."""
+def _interpolate_hanging(
+    num_nodes: int, hanging: NDArray[np.int64], ends: NDArray[np.int64]
+) -> tuple[sparse.csr_array, NDArray[np.int64]]:
+    """Matrix from free unknowns to all nodes, (N, U), and the nodes of the unknowns, (U,)."""
     free = np.ones(num_nodes, np.bool_)
     free[hanging] = False
     kept = np.flatnonzero(free)
@@ -192,7 +197,7 @@ def _interpolate_hanging(num_nodes: int, hanging: NDArray[np.int64], ends: NDArr
     while len(hanging) and np.isin(matrix.indices, hanging).any():
         matrix = matrix @ blend
         matrix.sum_duplicates()
-    return sparse.csr_array(matrix[:, kept])
+    return sparse.csr_array(matrix[:, kept]), kept
 
 
 def build_grid(region: Region, *, fine_reach: int = 4, reach: int = 3) -> Grid:
@@ -212,7 +217,7 @@ def build_grid(region: Region, *, fine_reach: int = 4, reach: int = 3) -> Grid:
     Grid
         Empty where the region has no silhouette.
     """
-    if fine_reach < 2 or reach < 1 + -(-fine_reach // 2):
+    if fine_reach < 1 or reach < 1 + -(-fine_reach // 2):
         raise ValueError(f"reach {reach} is too short for fine_reach {fine_reach}")
     width, height = region.width, region.height
     finest, corners, sides = _split_squares(region, fine_reach, reach)
@@ -228,9 +233,11 @@ def build_grid(region: Region, *, fine_reach: int = 4, reach: int = 3) -> Grid:
     mass[renumber] = texel_mass
     squares = np.searchsorted(nodes, square_texels)
     hanging, ends = _find_hanging(nodes, squares, sides, width)
+    interpolation, free = _interpolate_hanging(len(nodes), hanging, ends)
     return Grid(
         nodes=nodes,
-        interpolation=_interpolate_hanging(len(nodes), hanging, ends),
+        interpolation=interpolation,
+        free=free,
         texel_mass=mass,
         edge_nodes=renumber[edges].reshape(-1, 2),
         edge_mass=edge_mass,

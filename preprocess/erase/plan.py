@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from preprocess.erase.eraser import Erased, Eraser, surface_vertices
@@ -34,10 +35,13 @@ def _silhouette_lengths(surface: TexturedSurface, seams: Seams) -> Floats:
     return np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
 
 
-def _on_nodes(matrix: sparse.csr_array, grid: Grid) -> sparse.csr_array:
-    """The same rows over the grid's nodes instead of all texels."""
-    columns = grid.node_of(matrix.indices.astype(np.int64)) if matrix.nnz else matrix.indices
-    rows = sparse.csr_array((matrix.data, columns, matrix.indptr), shape=(matrix.shape[0], len(grid.nodes)))
+def _on_nodes(matrix: sparse.csr_array, nodes: NDArray[np.int64]) -> sparse.csr_array:
+    """The same rows over some texels, sorted, instead of all."""
+    columns = np.searchsorted(nodes, matrix.indices)
+    assert (nodes[np.minimum(columns, len(nodes) - 1)] == matrix.indices).all()
+    rows = sparse.csr_array(
+        (matrix.data, columns.astype(np.int32), matrix.indptr.astype(np.int32)), shape=(matrix.shape[0], len(nodes))
+    )
     rows.sum_duplicates()
     return rows
 
@@ -50,7 +54,7 @@ def _reaches(weights: Weights, num_inside: int) -> tuple[int, int]:
     inside differs from the full grid's by more than 0.4/255, local or global.
     """
     fading_px = np.sqrt(weights.inside_gradient * GRADIENT_MASS * max(num_inside, 1) / max(weights.change, 1e-12))
-    return 2, 2 + int(fading_px >= 2) + int(fading_px >= 6) + int(fading_px >= 20)
+    return 2, 2 + int(fading_px >= 6) + int(fading_px >= 12) + int(fading_px >= 20)
 
 
 def plan_erasure(
@@ -89,22 +93,23 @@ def plan_erasure(
     grid = build_grid(region, fine_reach=fine_reach, reach=reach)
 
     lengths = seams.lengths_m[joined]
-    jump = _on_nodes(jump_rows(intervals, lengths), grid)
     rows = {"slope": slope_rows(intervals, lengths, inward_normals(surface, seams, width, height)[joined])}
     scale = None
     if options.seam_value != "none":
         rows["value"], scale = value_rows(silhouette, _silhouette_lengths(surface, seams))
     if sample_uvs is not None:
         rows["samples"] = sample_rows(sample_uvs, width, height)
-    rows = {name: _on_nodes(matrix, grid) for name, matrix in rows.items()}
+    rows = {name: _on_nodes(matrix, grid.nodes) for name, matrix in rows.items()}
 
     factor = None
-    if jump.shape[0] and len(grid.nodes):
-        matrix = _assemble(grid, rows, options.weights, region.num_inside)
-        penalty = PENALTY if options.seam_weight is None else options.seam_weight
-        factor = factorise(matrix, sparse.csr_array(jump @ grid.interpolation), penalty)
-        logger.debug("erase: %d unknowns at %d x %d", matrix.shape[0], width, height)
-    return Eraser(surface, seams, options, region, grid, intervals, lengths, silhouette, jump, factor, rows, scale)
+    if len(intervals) and len(grid.nodes):
+        factor = factorise(
+            _assemble(grid, rows, options.weights, region.num_inside),
+            _on_nodes(jump_rows(intervals, lengths), grid.nodes[grid.free]),
+            PENALTY if options.seam_weight is None else options.seam_weight,
+        )
+        logger.debug("erase: %d unknowns at %d x %d", factor.matrix.shape[0], width, height)
+    return Eraser(surface, seams, options, region, grid, intervals, lengths, silhouette, factor, rows, scale)
 
 
 def _assemble(grid: Grid, rows: dict[str, sparse.csr_array], weights: Weights, num_inside: int) -> sparse.csr_array:

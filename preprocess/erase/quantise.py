@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from preprocess.erase.strip import SeamStrip
 from preprocess.mesh import Floats
@@ -41,7 +42,7 @@ MAX_ROUNDS = 24
 MAX_IDLE_ROUNDS = 8
 MAX_SWEEPS = 24  # a round
 
-AT_A_TIME = 4096  # visits: their points fit the processor's cache
+AT_A_TIME = 2048  # visits: their points fit the processor's cache
 SMALLEST_GAIN = 1e-5
 
 
@@ -100,7 +101,11 @@ class _Search:
         self.strip = strip
         self.num_channels, self.num_texels = wanted.shape
         num_points = len(strip.weights)
-        self.points, self.shares = strip.points_of_texel
+        # The points of texel t and its weights in them are numbers starts[t] to starts[t + 1].
+        columns = sparse.csc_array(strip.rows)
+        self.starts = columns.indptr
+        self.points = np.append(columns.indices, np.int32(num_points))
+        self.shares = np.append(columns.data, 0.0).astype(np.float32)
         self.weights = np.append(strip.weights, 0.0).astype(np.float32)
         self.wanted = wanted
         self.stored = np.rint(wanted)
@@ -114,7 +119,7 @@ class _Search:
         self.waits[:, -1] = False
         self.owner = np.zeros(self.jump.size, np.int32)
         # Texels of each group, those with few points first, so that tables can be cut to the longest row in use.
-        self.degree = np.diff(strip.columns.indptr)
+        self.degree = np.diff(self.starts)
         order = np.lexsort((self.degree, strip.groups))
         self.groups = [g for g in np.split(order, np.searchsorted(strip.groups[order], np.arange(1, 8))) if len(g)]
 
@@ -130,8 +135,10 @@ class _Search:
 
     def _visit(self, texel: NDArray[np.int64], channel: NDArray[np.int64], steps: range) -> bool:
         self.waits[channel, texel] = False
-        width = int(self.degree[texel].max(initial=1))
-        points, share = self.points[texel, :width], self.shares[texel, :width]
+        degree = self.degree[texel][:, None]
+        places = np.arange(degree.max(initial=1))
+        entry = np.where(places < degree, self.starts[texel][:, None] + places, len(self.points) - 1)
+        points, share = self.points[entry], self.shares[entry]
         at = points + (channel * self.jump.shape[1])[:, None]
         jump = self.jump.ravel()[at]
         step, gain = _best_steps(

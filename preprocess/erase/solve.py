@@ -27,6 +27,8 @@ from preprocess.mesh import Floats
 # interior texel add up to a diagonal of one.
 GRADIENT_MASS = 0.25
 
+SIDES = 24  # sides of squares: powers of two below this one
+
 # Weight of any node's squared change, so that outside texels with no inside texel near them have an answer too.
 TIE = 1e-8
 
@@ -96,14 +98,20 @@ def grid_matrix(grid: Grid, change_weight: float, inside_weight: float, outside_
     first, second = grid.edge_nodes.T
     both_inside = grid.inside[first] & grid.inside[second]
     weight = grid.edge_mass * np.where(both_inside, inside_weight, outside_weight)
-    mass = change_weight * grid.texel_mass * grid.inside + TIE
-    elements = _square_elements(grid.square_sides, change_weight, inside_weight)
     num = len(grid.nodes)
-    diagonal = np.arange(num)
-    rows = np.concatenate([diagonal, first, second, first, second, np.repeat(grid.squares, 4, axis=1).ravel()])
-    columns = np.concatenate([diagonal, first, second, second, first, np.tile(grid.squares, (1, 4)).ravel()])
-    values = np.concatenate([mass, weight, weight, -weight, -weight, elements.ravel()])
-    return sparse.csr_array(sparse.coo_array((values, (rows, columns)), shape=(num, num)))
+    diagonal = change_weight * grid.texel_mass * grid.inside + TIE
+    for end in (first, second):
+        diagonal += np.bincount(end, weight, num)
+    # All squares of a side have the same energy, with one entry for a corner, one for a side, one for a diagonal.
+    elements = _square_elements(np.array([1], np.int64) << np.arange(SIDES), change_weight, inside_weight)
+    element = elements[np.log2(grid.square_sides).astype(np.int64)]
+    diagonal += np.bincount(grid.squares.ravel(), np.repeat(element[:, 0, 0], 4), num)
+    a, b = np.triu_indices(4, 1)
+    rows = np.concatenate([first, grid.squares[:, a].ravel()]).astype(np.int32)
+    columns = np.concatenate([second, grid.squares[:, b].ravel()]).astype(np.int32)
+    values = np.concatenate([-weight, element[:, a, b].ravel()])
+    upper = sparse.csr_array(sparse.coo_array((values, (rows, columns)), shape=(num, num)))
+    return sparse.csr_array(upper + upper.T + sparse.diags_array(diagonal, format="csr"))
 
 
 def outside_force(grid: Grid, node_values: Floats, outside_weight: float) -> Floats:
@@ -134,6 +142,7 @@ def factorise(matrix: sparse.csr_array, jump: sparse.csr_array, penalty: float) 
         ρ.
     """
     full = sparse.csc_array(matrix + penalty * (jump.T @ jump))
+    del matrix  # half of what the factorisation needs beside its result
     return Factor(factor_symmetric(full), full, jump, penalty)
 
 

@@ -23,7 +23,7 @@ from preprocess.erase.region import Region
 from preprocess.mesh import Floats
 
 NEAR_SIDES = (2, 4, 8)  # squares whose texels are relaxed
-SWEEPS = 3
+SWEEPS = 5
 BATCH = 1 << 18  # texels that a change is spread to at a time
 
 

@@ -31,8 +31,6 @@ class SeamStrip:
         Flat indices of the texels that any seam reads, sorted.
     rows : (P, N) sparse
         Jump at each point from the texels: side 0 less side 1.
-    columns : (N, P) sparse
-        Its transpose.
     weights : (P,) float64
         Length that each point stands for, in units of the mean.
     groups : (N,) int64
@@ -41,30 +39,17 @@ class SeamStrip:
 
     texels: NDArray[np.int64]
     rows: sparse.csr_array
-    columns: sparse.csr_array
     weights: Floats
     groups: NDArray[np.int64]
 
     @cached_property
-    def points_of_texel(self) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        """The points that each texel takes part in, P where there are no more, and its weights there: (N, D) each."""
-        return _as_table(self.columns, len(self.weights))
-
-    @cached_property
     def texels_of_point(self) -> NDArray[np.int32]:
         """The texels that each point reads, N where there are no more: (P, 8 or less)."""
-        return _as_table(self.rows, len(self.texels))[0]
-
-
-def _as_table(matrix: sparse.csr_array, filler: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Columns and values of a sparse matrix's rows side by side."""
-    count = np.diff(matrix.indptr)
-    places = np.arange(count.max(initial=1))
-    holds = places < count[:, None]
-    columns = np.full(holds.shape, filler, np.int32)
-    values = np.zeros(holds.shape, np.float32)
-    columns[holds], values[holds] = matrix.indices, matrix.data
-    return columns, values
+        count = np.diff(self.rows.indptr)
+        holds = np.arange(count.max(initial=1)) < count[:, None]
+        texels = np.full(holds.shape, len(self.texels), np.int32)
+        texels[holds] = self.rows.indices
+        return texels
 
 
 @dataclass(frozen=True)
@@ -116,13 +101,11 @@ def build_strip(intervals: Intervals, lengths_m: Floats) -> SeamStrip:
     share = span * lengths_m[intervals.edges]
     weights = np.concatenate([np.repeat(share / 2, 2), np.zeros(np.count_nonzero(is_last))])
     mean = weights.mean() if len(weights) else 0.0
-    columns = sparse.csr_array(rows.T)
-    columns.sort_indices()
     row, column = np.divmod(texels, intervals.size_px[0])
     on_second_side = np.zeros(len(texels), np.bool_)
     on_second_side[local[:, 4:]] = True
     groups = column % 2 + 2 * (row % 2) + 4 * on_second_side
-    return SeamStrip(texels, rows, columns, weights / (mean if mean > 0 else 1.0), groups)
+    return SeamStrip(texels, rows, weights / (mean if mean > 0 else 1.0), groups)
 
 
 def _between(steps: Floats) -> Floats:
