@@ -94,10 +94,13 @@ def make_folder(model: Path, folder: Path) -> None:
         If the pipeline refuses the file.
     """
     from preprocess.errors import InputError
+    from preprocess.kernels import FIRST_RUN, are_compiled
     from preprocess.pipeline import build
     from preprocess.progress import Progress
     from preprocess.settings import Settings
 
+    if not are_compiled():
+        print(f"  {FIRST_RUN}", flush=True)
     try:
         result = build(model, folder, Settings(report=True), Progress())
     except InputError as error:
@@ -110,7 +113,8 @@ def make_folder(model: Path, folder: Path) -> None:
 PICTURES: tuple[tuple[str, str, str], ...] = (
     ("hero.png", "The built-in character", "Modelled, unwrapped, painted and animated by code. Drawn from textures."),
     ("levels.png", "Levels of detail", "The same textures at every level. The mesh below is all that changes."),
-    ("distance.png", "Chosen by projected error", "Each level where it is drawn: no error is larger than one pixel."),
+    ("distance.png", "Chosen by projected error", "Each at the coarsest level whose error stays under a pixel."),
+    ("crowd.png", "By the hundred", "800 of them from the same few textures, every one in a moment of its own."),
     ("walk.png", "Walk", "One cycle; feet that stand do not slide."),
     ("greet.png", "Greet", "Sitting up and waving."),
     ("seam.png", "A seam, before and after", "Left as a plain bake leaves it, right erased and owned."),
@@ -152,6 +156,7 @@ table {{ border-collapse: collapse }} td, th {{ padding: .2rem .9rem .2rem 0; te
 ({html.escape(str(atlas["mode"]))}). Levels of detail: {faces} faces.</p>
 <table><tr><th>texture</th><th>size</th><th>stored as</th><th>jump across seams before, rms / max</th>
 <th>as stored, rms / max</th></tr>{rows}</table>
+<p>Jumps are in units of a texture's range, for the position in metres; an 8-bit step is {1 / 255:.2e}.</p>
 {report if (built / "report.html").is_file() else ""}
 {figures}
 </body></html>

@@ -9,14 +9,18 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from demos.compare import Comparison, close_up, nearest_seam
-from demos.headless import create_context, write_png
+from demos.crowd import CrowdScene
+from demos.headless import Canvas, create_context, write_png
+from demos.options import Options
 from demos.pictures import Pixels, label, side_by_side
 from runtime.asset import load
 from runtime.camera import Camera, framing
 
 HERO_SIZE = (1600, 1100)
 FOVY_DEG = 26.0
-SEAM_PLACES = ((0.0, 0.13, 0.02), (0.0, 0.29, 0.28))  # the belly and the chest of the dragon, metres
+# Seams of the dragon to look at, metres, and how: the chest lit, the belly, which lies in its own shade, as painted.
+SEAM_PLACES = (((0.0, 0.29, 0.28), "lit"), ((0.0, 0.13, 0.02), "base_color"))
+NUM_IN_CROWD = 800
 
 
 def draw_pictures(model: Path, built: Path, folder: Path) -> None:
@@ -37,6 +41,7 @@ def draw_pictures(model: Path, built: Path, folder: Path) -> None:
             "hero.png": hero,
             "levels.png": levels,
             "distance.png": distance,
+            "crowd.png": crowd,
             "walk.png": walk,
             "greet.png": greet,
             "seam.png": seam,
@@ -62,7 +67,7 @@ def hero(comparison: Comparison) -> Pixels:
     camera = _camera(comparison, (0.80, 0.22, 1.0), HERO_SIZE[0] / HERO_SIZE[1])
     camera = comparison.studio.fit([actor], camera, HERO_SIZE)
     floor = comparison.asset.manifest.bind_bounds
-    return comparison.studio.picture([actor], camera, HERO_SIZE, floor=floor, lod=0, tessellation="auto")
+    return comparison.studio.picture([actor], camera, HERO_SIZE, floor=floor, lod=0, tessellation="auto", finer=2)
 
 
 def levels(comparison: Comparison) -> Pixels:
@@ -74,20 +79,49 @@ def levels(comparison: Comparison) -> Pixels:
 
 
 def distance(comparison: Comparison) -> Pixels:
-    """Levels chosen by distance: lit, and coloured by level."""
-    actors = []
-    for index, away in enumerate((0.0, 2.2, 6.0, 14.0, 34.0)):
+    """One character five times, ever farther away, each at the level of detail chosen for it: lit, and by level."""
+    size = (1808, 760)
+    low, high = comparison.asset.manifest.bind_bounds
+    length = float(high[2] - low[2])
+    actors, heads = [], []
+    for index, away in enumerate((0.0, 0.95, 2.5, 5.6, 13.0)):
         transform = np.eye(4)
-        transform[:3, 3] = (-0.42 * away - 0.25 * bool(index), 0.0, -away)
+        transform[:3, 3] = (1.15 * length * away, 0.0, -length * away)
+        heads.append(transform[:3, 3] + (0.0, 1.04 * high[1], 0.4 * high[2]))
         actors.append(comparison.after.actor(clip="walk", time_s=0.21 * index, transform=transform))
-    size = (900, 620)
-    camera = _camera(comparison, (0.75, 0.34, 1.0), size[0] / size[1], 3.0)
-    camera = comparison.studio.fit(actors, camera, size, 0.90)
-    lit = comparison.studio.picture(actors, camera, size)
-    colored = comparison.studio.picture(actors, camera, size, view="lod")
+    box = np.stack([low - np.array([0.0, 0.0, 2.2]) * length, high + np.array([2.6, 0.0, 0.0]) * length])
+    eye = np.array([-0.15, 0.66, 1.9]) * length
+    camera = Camera(tuple(eye), tuple(eye + length * np.array([0.42, -0.20, -1.0])), fovy_deg=FOVY_DEG)
+    lit = comparison.studio.picture(actors, camera, size, floor=box)
     drawn = comparison.studio.renderer.last_drawn
-    chosen = [drawn[actor].level for actor in actors]
-    return side_by_side([[lit, label(colored, "levels, from near to far: " + ", ".join(map(str, chosen)), size_px=18)]])
+    matrices = camera.matrices(*size)
+    for actor, place in zip(actors, heads, strict=True):
+        clip = matrices.clip_from_world @ np.append(place - matrices.eye, 1.0)
+        level = drawn[actor].level
+        text = f"{comparison.asset.manifest.json['lods'][level]['faces']:,} faces"
+        x, y = (0.5 + 0.5 * clip[0] / clip[3]) * size[0], (0.5 - 0.5 * clip[1] / clip[3]) * size[1]
+        lit = label(lit, text, size_px=16, at=(x, max(y - 30.0, 4.0)))
+    return lit
+
+
+def crowd(comparison: Comparison) -> Pixels:
+    """Hundreds of the character in one crowd, each in a moment of its own."""
+    size = (1808, 860)
+    ctx, folder = comparison.studio.ctx, comparison.asset.path
+    scene = CrowdScene(ctx, folder, NUM_IN_CROWD, "walk")
+    scene.crowd.update(0.0)
+    unit, front = scene.unit_m, scene.front_m
+    options = Options(
+        folder=folder, headless=True, out=None, size=size, clip="walk", time_s=0.0, lod="auto", tessellation="off",
+        eye=(0.4 * unit, 2.5 * unit, front + 3.6 * unit), target=(0.0, -0.7 * unit, front - 6.0 * unit),
+        fovy_deg=30.0, view="lit", backdrop=True,
+    )  # fmt: skip
+    canvas = Canvas(ctx, size)
+    scene.draw(canvas.framebuffer, scene.camera(options), options, options.view)
+    pixels = canvas.pixels()[..., :3].copy()
+    scene.release()
+    canvas.release()
+    return pixels
 
 
 def _strip(
@@ -103,7 +137,7 @@ def _strip(
     camera = comparison.studio.fit(actors, _camera(comparison, direction, size[0] / size[1]), size, 0.9)
     panels = []
     for actor, time_s in zip(actors, times_s, strict=True):
-        picture = comparison.studio.picture([actor], camera, size, floor=box, lod=0)
+        picture = comparison.studio.picture([actor], camera, size, floor=box, lod=0, finer=2)
         panels.append(label(picture, f"{time_s:.2f} s", size_px=16))
     half = -(-len(panels) // 2)
     return side_by_side([panels[:half], panels[half:]])
@@ -120,16 +154,14 @@ def greet(comparison: Comparison) -> Pixels:
 
 
 def seam(comparison: Comparison) -> Pixels:
-    """Two seams from close by, before and after: lit, and the base colour alone."""
+    """Two seams from close by, before and after: one lit, one as painted."""
     assert comparison.before_asset is not None
     rows = []
-    for point in SEAM_PLACES:
+    for point, view in SEAM_PLACES:
         camera = close_up(comparison.asset, *nearest_seam(comparison.asset, point))
-        row: list[Pixels] = []
-        for view in ("lit", "base_color"):
-            before, after = comparison.seam_pair(camera, (480, 440), view)
-            row += [label(before, "as baked", size_px=18), label(after, "seams erased", size_px=18)]
-        rows.append(row)
+        before, after = comparison.seam_pair(camera, (900, 520), view)
+        shown = view.replace("_", " ")
+        rows.append([label(before, f"as baked, {shown}", size_px=18), label(after, "seams erased", size_px=18)])
     return side_by_side(rows)
 
 
@@ -139,8 +171,13 @@ def views(comparison: Comparison) -> Pixels:
     actor = comparison.after.actor()
     camera = comparison.studio.fit([actor], _camera(comparison, (0.8, 0.2, 1.0), size[0] / size[1]), size, 0.92)
     panels = [
-        label(comparison.studio.picture([actor], camera, size, view=view, lod=0), view.replace("_", " "), size_px=18)
-        for view in ("base_color", "normal", "position", "weights")
+        label(comparison.studio.picture([actor], camera, size, view=view, lod=0, finer=3), text, size_px=18)
+        for view, text in (
+            ("base_color", "base colour"),
+            ("normal", "normal"),
+            ("position", "position"),
+            ("weights", "joint weights"),
+        )
     ]
     return side_by_side([panels])
 
@@ -150,9 +187,11 @@ def wireframe(comparison: Comparison) -> Pixels:
     size = (940, 760)
     actor = comparison.after.actor()
     camera = comparison.studio.fit([actor], _camera(comparison, (0.7, 0.2, 1.0), size[0] / size[1]), size)
-    return side_by_side(
-        [[comparison.studio.picture([actor], camera, size, view=view, lod=0) for view in ("wireframe", "seams")]]
-    )
+    panels = [
+        label(comparison.studio.picture([actor], camera, size, view=view, lod=0, finer=2), text, size_px=18)
+        for view, text in (("wireframe", f"{len(comparison.asset.lods[0].triangles):,} triangles"), ("seams", "seams"))
+    ]
+    return side_by_side([panels])
 
 
 def atlas(comparison: Comparison) -> Pixels:

@@ -48,6 +48,7 @@ class Studio:
         view: str = "lit",
         lod: int | str = "auto",
         tessellation: float | str = "off",
+        finer: int = 1,
     ) -> Pixels:
         """Draw one picture, (H, W, 3) uint8.
 
@@ -60,15 +61,21 @@ class Studio:
             Box of the actors at rest: lit pictures get a backdrop, and a floor under it.
         view, lod, tessellation
             As for `Renderer.draw`.
+        finer : int
+            Drawn so many times as large and averaged: smooth edges in views without multisampling, and finer detail.
         """
-        canvas = Canvas(self.ctx, size, VIEWS[view].is_lit)
+        width, height = size
+        canvas = Canvas(self.ctx, (width * finer, height * finer), VIEWS[view].is_lit)
         with canvas.drawing((PAPER[0] / 255, PAPER[1] / 255, PAPER[2] / 255, 1.0)):
             if floor is not None and VIEWS[view].is_lit:
                 self._stage.draw(canvas.framebuffer, self.renderer, actors, camera, floor)
             self.renderer.draw(actors, camera, view=view, lod=lod, tessellation=tessellation)
         pixels = canvas.pixels()[..., :3].copy()
         canvas.release()
-        return pixels
+        if finer == 1:
+            return pixels
+        cells = pixels.reshape(height, finer, width, finer, 3).astype(np.float32)
+        return np.rint(cells.mean(axis=(1, 3))).astype(np.uint8)
 
     def fit(self, actors: Sequence[Actor], camera: Camera, size: tuple[int, int], fill: float = 0.86) -> Camera:
         """Move a camera sideways, nearer or away until the actors fill a share of the picture, in its middle."""
@@ -97,12 +104,18 @@ class Studio:
         self.renderer.release()
 
 
-def label(pixels: Pixels, text: str, *, size_px: int = 22, color: tuple[int, int, int] = INK) -> Pixels:
-    """The picture with a line of text in its lower left corner."""
+def label(pixels: Pixels, text: str, *, size_px: int = 22, at: tuple[float, float] | None = None) -> Pixels:
+    """The picture with a line of text on a plate: in its lower left corner, or with its upper middle at a point."""
     image = Image.fromarray(pixels)
     font = ImageFont.load_default(size_px)
-    place = (0.6 * size_px, pixels.shape[0] - 1.7 * size_px)
-    ImageDraw.Draw(image).text(place, text, fill=color, font=font)
+    left, top, right, bottom = font.getbbox(text)
+    pad = 0.35 * size_px
+    width, height = right - left + 2 * pad, bottom - top + 2 * pad
+    x, y = (0.5 * size_px, pixels.shape[0] - height - 0.5 * size_px) if at is None else (at[0] - width / 2, at[1])
+    x = min(max(x, 2.0), pixels.shape[1] - width - 2.0)
+    pen = ImageDraw.Draw(image, "RGBA")
+    pen.rounded_rectangle((x, y, x + width, y + height), radius=pad, fill=(*PAPER, 215))
+    pen.text((x + pad - left, y + pad - top), text, fill=INK, font=font)
     return np.asarray(image)
 
 

@@ -179,7 +179,7 @@ class Field:
         cells = np.floor(folded / _CUBE_M).astype(np.int64) + 512
         keys = (cells[:, 0] * 1024 + cells[:, 1]) * 1024 + cells[:, 2]
         _, first, cube_of_point = np.unique(keys, return_index=True, return_inverse=True)
-        centres = (cells[first] - 512 + 0.5) * _CUBE_M
+        centres: Floats = np.asarray((cells[first] - 512 + 0.5) * _CUBE_M, np.float64)
         radius = 0.5 * np.sqrt(3.0) * _CUBE_M
         at_centre = np.stack([piece.solid.distance(centres) for piece in self.pieces])
         carve = np.array([piece.carve for piece in self.pieces])
