@@ -38,6 +38,7 @@ SURROUNDINGS = {
     errno.ENAMETOOLONG: "choose a shorter name",
     errno.EMFILE: "allow more open files (ulimit -n)",
 }
+EXTRA = ("scipy", "numba", "pygltflib", "rich")  # what `pip install seamskin` alone leaves out
 USAGE = "python -m preprocess MODEL [-o DIR] [options]   or   python -m preprocess COMMAND ... (see -h)"
 
 
@@ -194,6 +195,8 @@ def _refuse(text: str) -> int:
 
 def _name_surroundings(error: Exception) -> str | None:
     """What the machine lacks, where that and no fault of the program stopped it; else None."""
+    if isinstance(error, ModuleNotFoundError) and error.name in EXTRA:
+        return f'the offline tools need {error.name}: pip install "seamskin[preprocess]"'
     if isinstance(error, MemoryError):
         return "not enough memory: choose smaller sizes, or build on a larger machine"
     if isinstance(error, OSError) and error.errno in SURROUNDINGS:

@@ -183,6 +183,7 @@ def full_disk(folder: Path) -> OSError:
     [
         (full_disk(Path("somewhere")), ["model.glb: No space left on device: make room"]),
         (MemoryError(), ["not enough memory"]),
+        (ModuleNotFoundError("No module named 'numba'", name="numba"), ['pip install "seamskin[preprocess]"']),
         (PermissionError(errno.EACCES, "Permission denied"), ["Permission denied", "permissions"]),
     ],
 )
