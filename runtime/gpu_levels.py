@@ -95,7 +95,7 @@ class Levels:
     def __init__(self, ctx: moderngl.Context, asset: Asset) -> None:
         self.ctx, self.asset = ctx, asset
         self.lods: tuple[GpuLod, ...] = ()
-        self.errors_m = np.zeros(0)
+        self.errors_m = self.divided_errors_m = np.zeros(0)  # as they are, and at most when tessellated
         self._owned: list[moderngl.Buffer] = []
         self._line_buffers: dict[int, moderngl.Buffer] = {}
         self._edge_texels: dict[int, float] = {}
@@ -118,6 +118,7 @@ class Levels:
         )
         self.lods = (*self.lods, lod)
         self.errors_m = np.array([lod.mesh.error_m for lod in self.lods])
+        self.divided_errors_m = self.errors_m + [self._patch_tolerance_m(lod.mesh) for lod in self.lods]
 
     def patches(self, level: int) -> moderngl.Buffer:
         """Index buffer of a level's patches, nine a triangle (made when first asked for)."""
@@ -131,11 +132,14 @@ class Levels:
 
     def _without_faults(self, mesh: LodMesh, patches: NDArray[np.uint32]) -> NDArray[np.uint32]:
         positions = np.asarray(self.asset.textures["position"].levels[0][:, :, :3], np.float32)
-        low, high = self.asset.manifest.bind_bounds
-        tolerance_m = max(mesh.error_m, PATCH_TOLERANCE_REL * float(np.linalg.norm(high - low)))
-        faulty = faulty_faces(positions, mesh.uvs, mesh.owner_uvs, patches, tolerance_m)
+        faulty = faulty_faces(positions, mesh.uvs, mesh.owner_uvs, patches, self._patch_tolerance_m(mesh))
         _, points = np.unique(mesh.owner_uvs, axis=0, return_inverse=True)
         return keep_flat(patches, points.ravel(), faulty)
+
+    def _patch_tolerance_m(self, mesh: LodMesh) -> float:
+        """How far points of a divided triangle may lie from the flat one, metres; it stays whole otherwise."""
+        low, high = self.asset.manifest.bind_bounds
+        return max(mesh.error_m, PATCH_TOLERANCE_REL * float(np.linalg.norm(high - low)))
 
     def longest_edge_texels(self, level: int) -> float:
         """Length of a level's longest edge in texels of the position texture, along its longer axis."""

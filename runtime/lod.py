@@ -5,15 +5,18 @@ Letters in shapes: A actors, L levels.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.camera import CameraMatrices
+from runtime.errors import RenderError
 
 Floats = NDArray[np.floating]
 
+PREFERENCES = ("levels", "tessellation")
 HYSTERESIS = 0.15  # a coarser level is taken only where its error is this part below the threshold: no flicker at rest
 
 
@@ -29,11 +32,27 @@ class Quality:
         Adaptive tessellation divides edges into pieces of about this length, pixels.
     texels_a_segment : float
         But not into pieces shorter than this many texels of the position texture, which have nothing to add.
+    prefer : "levels" or "tessellation"
+        Whether chosen levels are drawn as they are, or divided where OpenGL 4.1 is there: rounder, and dearer. Their
+        largest error is then taken as all that dividing may add to it.
+
+    Raises
+    ------
+    RenderError
+        If a number is not positive, or there is no such preference.
     """
 
     threshold_px: float = 1.0
     segment_px: float = 6.0
     texels_a_segment: float = 1.0
+    prefer: str = "levels"
+
+    def __post_init__(self) -> None:
+        for name in ("threshold_px", "segment_px", "texels_a_segment"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise RenderError(f"quality: {name} is {getattr(self, name)}, it must be a positive number")
+        if self.prefer not in PREFERENCES:
+            raise RenderError(f"quality: no preference {self.prefer!r}, one of {', '.join(PREFERENCES)}")
 
 
 @dataclass(frozen=True)

@@ -110,7 +110,9 @@ def place(
     refuse_broken_poses(model, batch)
     transforms = batch.transforms
     sight = look_at(batch.bounds, transforms, matrices, wish.size_px)
-    errors, seen = model.levels.errors_m, sight.visible
+    seen, is_auto = sight.visible, wish.tessellation == "auto" and wish.has_tessellation
+    divides = is_auto and wish.lod is None and wish.quality.prefer == "tessellation"
+    errors = model.levels.divided_errors_m if divides else model.levels.errors_m
     if wish.lod is None:
         previous = np.array([levels_before.get(actor, -1) for actor in batch.actors])
         levels = choose_levels(errors, sight.pixels_a_metre, wish.quality.threshold_px, previous)
@@ -118,7 +120,9 @@ def place(
         levels = np.full(len(batch.actors), wish.lod)
     if not isinstance(wish.tessellation, str):
         tessellated = np.ones(len(levels), bool)
-    elif wish.tessellation == "auto" and wish.has_tessellation and wish.lod:
+    elif divides:
+        tessellated = levels > 0
+    elif is_auto and wish.lod:
         tessellated = np.minimum(sight.pixels_a_metre, 1e300) * errors[levels] > wish.quality.threshold_px
     else:
         tessellated = np.zeros(len(levels), bool)

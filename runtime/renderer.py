@@ -156,8 +156,9 @@ class Renderer:
         lod : "auto" or int
             A level for all, or the coarsest of each actor's whose error stays under `quality.threshold_px`.
         tessellation : "auto", "off" or number
-            A number from 1 to 64 divides every edge so often. "auto" tessellates a level where its own error is over
-            the threshold: that happens to forced levels, since a chosen one is good enough as it is.
+            A number from 1 to 64 divides every edge so often. "auto" tessellates a level that was asked for where its
+            own error is over the threshold; a chosen one is good enough as it is, and tessellated only if
+            `quality.prefer` says so.
         uniforms : mapping, optional
             Values of uniforms of a caller's own fragment shader.
 

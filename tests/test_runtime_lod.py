@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -16,6 +17,7 @@ from runtime.actor import joint_boxes_of
 from runtime.asset import Asset, load
 from runtime.bounds import pose_bounds
 from runtime.camera import Camera, MatrixCamera
+from runtime.errors import RenderError
 from runtime.gpu_asset import Model
 from runtime.lod import HYSTERESIS, Quality, choose_levels, look_at
 from runtime.renderer import Renderer
@@ -154,35 +156,82 @@ def ball(tmp_path_factory: pytest.TempPathFactory) -> Asset:
     return dataclasses.replace(asset, lods=tuple(lods))
 
 
-def test_silhouettes_move_no_more_than_the_threshold(ctx: moderngl.Context, ball: Asset) -> None:
-    """A fly-through from close up to a pixel or two; each picture against full detail."""
+class Flight:
+    """A model seen from close up to a pixel or two."""
+
+    def __init__(self, ctx: moderngl.Context, asset: Asset, quality: Quality) -> None:
+        self.model, self.renderer = Model(ctx, asset), Renderer(ctx, quality=quality)
+        self.framebuffer = ctx.simple_framebuffer((SIDE_PX, SIDE_PX), 4)
+        self.actor = self.model.actor()
+
+    def cameras(self) -> Iterator[Camera]:
+        for distance in np.geomspace(1.5, 600.0, 40):
+            direction = np.array([np.sin(distance), 0.3, np.cos(distance)])
+            eye = np.array([0.0, 1.0, 0.0]) + distance * direction / np.linalg.norm(direction)
+            yield Camera(tuple(eye), (0.0, 1.0, 0.0), fovy_deg=50.0)
+
+    def mask(self, camera: Camera, **how: Any) -> np.ndarray:
+        self.framebuffer.use()
+        self.framebuffer.clear(depth=1.0)
+        self.renderer.draw([self.actor], camera, view="mask", **how)
+        return np.frombuffer(self.framebuffer.read(components=1), np.uint8).reshape(SIDE_PX, SIDE_PX) > 0
+
+    def release(self) -> None:
+        framebuffer = self.framebuffer
+        for thing in (*framebuffer.color_attachments, framebuffer.depth_attachment, framebuffer):
+            thing.release()
+        self.renderer.release()
+        self.model.release()
+
+
+def shift_px(a: np.ndarray, b: np.ndarray) -> float:
+    """How far the silhouettes of two masks lie apart."""
+    extra = [distance_transform_edt(~y)[x & ~y].max() for x, y in ((a, b), (b, a)) if (x & ~y).any() and y.any()]
+    return float(max(extra, default=0.0))
+
+
+@pytest.mark.parametrize("prefer", ["levels", "tessellation"])
+def test_silhouettes_move_no_more_than_the_threshold(ctx: moderngl.Context, ball: Asset, prefer: str) -> None:
+    """Each picture of a fly-through against full detail; and where the level changes, against the level before."""
     threshold = 1.0
-    model, renderer = Model(ctx, ball), Renderer(ctx, quality=Quality(threshold_px=threshold))
-    framebuffer = ctx.simple_framebuffer((SIDE_PX, SIDE_PX), 4)
-    actor = model.actor()
-
-    def mask(camera: Camera, lod: int | str) -> np.ndarray:
-        framebuffer.use()
-        framebuffer.clear(depth=1.0)
-        renderer.draw([actor], camera, view="mask", lod=lod)
-        return np.frombuffer(framebuffer.read(components=1), np.uint8).reshape(SIDE_PX, SIDE_PX) > 0
-
-    levels = []
-    for distance in np.geomspace(1.5, 600.0, 40):
-        direction = np.array([np.sin(distance), 0.3, np.cos(distance)])
-        eye = np.array([0.0, 1.0, 0.0]) + distance * direction / np.linalg.norm(direction)
-        camera = Camera(tuple(eye), (0.0, 1.0, 0.0), fovy_deg=50.0)
-        chosen = mask(camera, "auto")
-        levels.append(renderer.last_drawn[actor].level)
-        finest = mask(camera, 0)
-        for a, b in ((chosen, finest), (finest, chosen)):
-            if (a & ~b).any() and b.any():
-                assert distance_transform_edt(~b)[a & ~b].max() <= threshold + 0.5
+    flight = Flight(ctx, ball, Quality(threshold_px=threshold, prefer=prefer))
+    levels, divided = [], []
+    for camera in flight.cameras():
+        chosen = flight.mask(camera)
+        drawn = flight.renderer.last_drawn[flight.actor]
+        levels.append(drawn.level)
+        divided.append(drawn.tessellated)
+        assert shift_px(chosen, flight.mask(camera, lod=0, tessellation="off")) <= threshold + 0.5
+        if len(levels) > 1 and levels[-2] != drawn.level:
+            before = flight.mask(camera, lod=levels[-2], tessellation="off")
+            assert shift_px(chosen, before) <= threshold + 0.5
     assert levels == sorted(levels) and set(levels) == {0, 1, 2, 3}
-    for attachment in (*framebuffer.color_attachments, framebuffer.depth_attachment, framebuffer):
-        attachment.release()
-    renderer.release()
-    model.release()
+    assert divided == [prefer == "tessellation" and level > 0 for level in levels]
+    flight.release()
+
+
+def test_preferred_tessellation_is_rounder_and_calm(ctx: moderngl.Context, ball: Asset) -> None:
+    """A divided level's silhouette differs in fewer pixels than the same level's; and factors rest with the camera."""
+    flight = Flight(ctx, ball, Quality(prefer="tessellation", threshold_px=4.0, segment_px=4.0))
+    camera = Camera((0.0, 1.0, 9.0), (0.0, 1.0, 0.0), fovy_deg=30.0)
+    finest = flight.mask(camera, lod=0, tessellation="off")
+    divided = flight.mask(camera)
+    drawn = flight.renderer.last_drawn[flight.actor]
+    assert drawn.tessellated and drawn.level > 0
+    assert all((flight.mask(camera) == divided).all() for _ in range(5))
+    flat = flight.mask(camera, lod=drawn.level, tessellation="off")
+    assert (divided ^ finest).sum() < 0.7 * (flat ^ finest).sum()
+    assert (flight.mask(camera, tessellation="off") ^ finest).any()
+    assert not flight.renderer.last_drawn[flight.actor].tessellated
+    flight.release()
+
+
+@pytest.mark.parametrize(
+    "how", [{"threshold_px": 0.0}, {"segment_px": -1.0}, {"texels_a_segment": np.nan}, {"prefer": "magic"}]
+)
+def test_qualities_that_make_no_sense_are_named(how: dict[str, Any]) -> None:
+    with pytest.raises(RenderError, match=f"quality: .*{next(iter(how)).split('_')[0][:6]}"):
+        Quality(**how)
 
 
 def test_drawn_levels_are_remembered_per_actor(ctx: moderngl.Context, ball: Asset) -> None:
