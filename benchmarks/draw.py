@@ -146,8 +146,7 @@ def add_layouts(bench: Bench) -> dict[str, int]:
     names = ("in_position", "in_uv", "in_joints", "in_weights")
     bench.add("vertex attributes", "attributes.vert", vertices, "3f4 2f4 4u1 4f1", names, {})
     own, both = bench.model.lods[0].vertices, ("in_uv", "in_owner_uv")
-    defines = {name: value for name, value in bench.model.shader_defines.items() if name != "NORMAL_UV"}
-    bench.add("textures: records a cell", "static.vert", own, "2f4 2f4", both, defines)
+    bench.add("textures: records a cell", "static.vert", own, "2f4 2f4", both, bench.model.shader_defines)
     bench.add("textures: lists a texel", "layouts.vert", own, "2f4 2f4", both, {"LAYOUT_LISTS": 1, "LISTS": lists})
     bench.add("textures: dense layers", "layouts.vert", own, "2f4 2f4", both, {"LAYOUT_DENSE": 1, "LAYERS": layers})
     return {

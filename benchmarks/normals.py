@@ -1,8 +1,8 @@
 """Normals: the built texture against the source, at random points of the full mesh (equal chance for equal area).
 
-The source's normal is its corner normals, interpolated. Two numbers: all points, and those further than a texel and a
-half from every edge of their face: a texture rounds a hard edge over about that width. Characters with normal maps are
-left out, since these are in the texture too.
+The source's normal is its corner normals, interpolated; the texture is read at the finest level's normal uvs. Two
+numbers: all points, and those further than a texel and a half from every edge of their face. Characters with normal
+maps are left out, since these are in the texture too.
 
 Options: --models FILE ... (characters to build the texture of), --points N.
 """
@@ -44,7 +44,8 @@ def measure(model: Path, num_points: int) -> dict[str, Any] | None:
         return None
     settings = Settings()
     atlas = _build_atlas(character, settings)
-    stored = TextureStage(character, atlas, sample_poses(character), settings).normal()
+    stage = TextureStage(character, atlas, sample_poses(character), settings)
+    stored = stage.normal()
     stored_texels = stored.levels[0][:, :, :3]
     full = np.iinfo(stored_texels.dtype).max if stored_texels.dtype.kind == "u" else 1.0
     texels = stored_texels.astype(np.float64) / full * 2 - 1
@@ -56,7 +57,8 @@ def measure(model: Path, num_points: int) -> dict[str, Any] | None:
     shares = rng.dirichlet((1, 1, 1), num_points)
     corner_uvs = surface.uvs[surface.face_uvs[face]]
     wanted = np.einsum("ni,nij->nj", shares, mesh.corner_normals[face])
-    found = sample_bilinear(texels, np.einsum("ni,nij->nj", shares, corner_uvs))
+    read_uvs = corner_uvs if stage.normal_uvs is None else stage.normal_uvs.corners[face]
+    found = sample_bilinear(texels, np.einsum("ni,nij->nj", shares, read_uvs))
     cosine = (wanted * found).sum(axis=1) / np.maximum(
         np.linalg.norm(wanted, axis=1) * np.linalg.norm(found, axis=1), 1e-12
     )

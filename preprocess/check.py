@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.atlas.overlap import find_overlap
+from preprocess.creases import NormalUvs, bake_surface, move_seams
 from preprocess.erase import measure_seams
 from preprocess.errors import InputError
 from preprocess.folder import MANIFEST
@@ -85,17 +86,20 @@ def measure_asset(asset: Asset) -> Iterator[tuple[str, str, bool]]:
     manifest = asset.manifest.json
     finest = surface_of(asset, asset.lods[0])
     seams = find_seams(finest)
+    moved = normal_uvs_of(asset.lods[0])
+    grounds = {"normal": (bake_surface(finest, moved), move_seams(seams, finest, moved))} if moved else {}
     found = find_overlap(finest.uvs, finest.face_uvs)
     overlap = found.num_pairs + found.num_flat
     yield "overlapping faces", str(overlap), overlap <= manifest["atlas"]["overlap"]
     for name in asset.textures:
         entry = manifest["textures"][name]
         joined = None
+        ground = grounds.get(name, (finest, seams))
         for level, texels in enumerate(_levels(asset, name)):
             claim = entry["seam"]["stored"][level]
             if level == 0:
-                joined = _joined(texels, finest, seams, entry["seam"].get("left", 0))
-            rms, largest = _jump(texels, finest, seams, joined)
+                joined = _joined(texels, *ground, entry["seam"].get("left", 0))
+            rms, largest = _jump(texels, *ground, joined)
             holds = rms <= SLACK_REL * claim["rms"] + SLACK_ABS and largest <= SLACK_REL * claim["max"] + SLACK_ABS
             yield f"{name} level {level}", f"jump rms {rms:.3g} max {largest:.3g}", holds
     edges = _open_edges(finest)
@@ -121,6 +125,13 @@ def surface_of(asset: Asset, lod: LodMesh) -> TexturedSurface:
         uvs[:, 1:].astype(np.float64),
         uv_of.reshape(-1)[lod.triangles].astype(np.int32),
     )
+
+
+def normal_uvs_of(lod: LodMesh) -> NormalUvs | None:
+    """Where a stored level's corners sample the normal texture, if not at their uvs."""
+    if lod.normal_uvs is None:
+        return None
+    return NormalUvs(lod.normal_uvs.astype(np.float64), lod.triangles.astype(np.int32), np.zeros((0, 3), bool))
 
 
 def _levels(asset: Asset, name: str) -> Iterator[Floats]:

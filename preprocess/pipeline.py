@@ -80,6 +80,7 @@ def build(model: Path, destination: Path, settings: Settings, progress: Progress
             stage.delta = ", ".join(f"{t.name} {t.size[0]}×{t.size[1]}" for t in textures)
         with progress.stage("levels") as stage:
             chain = _build_lods(character, atlas, textures, poses, settings)
+            normal_uvs = baking.level_normal_uvs(chain.lods)
             stage.delta = " → ".join(str(lod.num_faces) for lod in chain.lods)
         warnings = (
             *character.warnings,
@@ -89,7 +90,9 @@ def build(model: Path, destination: Path, settings: Settings, progress: Progress
             *_missed_levels(chain, settings),
         )
         with progress.stage("write"):
-            rows = write_folder(folder, character, atlas, textures, chain, settings, warnings, progress.seconds)
+            rows = write_folder(
+                folder, character, atlas, textures, chain, settings, warnings, progress.seconds, normal_uvs
+            )
             if settings.report:
                 manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
                 write_report(folder / "report.html", manifest, atlas.mesh.surface, baking.draw_decisions())

@@ -115,6 +115,21 @@ def find_seams(surface: TexturedSurface) -> Seams:
     )
 
 
+def pick_seams(seams: Seams, chosen: NDArray[np.bool_]) -> Seams:
+    """Some of the seams, (S,) bool, as if there were no others and no outlines: what lies beyond these stays."""
+    return Seams(
+        seams.vertices[chosen],
+        seams.uv_pairs[chosen],
+        seams.faces[chosen],
+        seams.lengths_m[chosen],
+        seams.boundary_vertices[:0],
+        seams.boundary_uvs[:0],
+        seams.boundary_faces[:0],
+        seams.boundary_lengths_m[:0],
+        seams.foldover_uvs[:0],
+    )
+
+
 def _find_foldovers(
     surface: TexturedSurface,
     left: NDArray[np.int64],

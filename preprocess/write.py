@@ -16,6 +16,7 @@ from preprocess.folder import MANIFEST
 from preprocess.gltf import Character
 from preprocess.gltf.model_glb import write_model_glb
 from preprocess.images import Image, write_image
+from preprocess.mesh import Floats
 from preprocess.settings import Settings
 from preprocess.textures import StoredTexture
 from runtime.asset import SCHEMA
@@ -63,8 +64,9 @@ def write_folder(
     settings: Settings,
     warnings: Sequence[str],
     timings: Mapping[str, float],
+    normal_uvs: Sequence[Floats | None],
 ) -> tuple[LodRow, ...]:
-    """Write everything into an empty folder.
+    """Write everything into an empty folder. `normal_uvs` are those of the levels, as for `write_model_glb`.
 
     Returns
     -------
@@ -74,11 +76,12 @@ def write_folder(
     lods = chain.lods
     rows = tuple(_row(f"{character.name}_LOD{i}", lod) for i, lod in enumerate(lods))
     entries = {texture.name: _write_texture(folder, texture) for texture in textures}
-    write_model_glb(folder / MODEL, character, atlas.mesh, lods, entries, influences=settings.influences)
+    options: dict[str, Any] = {"influences": settings.influences}
+    write_model_glb(folder / MODEL, character, atlas.mesh, lods, entries, normal_uvs=normal_uvs, **options)
     files = [f"model_LOD{i}.glb" for i in range(len(lods))] if settings.separate_lods else []
-    for file, row, lod in zip(files, rows, lods):
-        one = folder / file
-        write_model_glb(one, character, atlas.mesh, [lod], entries, influences=settings.influences, names=[row.node])
+    for file, row, lod, uvs in zip(files, rows, lods, normal_uvs):
+        one = {"names": [row.node], "normal_uvs": [uvs], **options}
+        write_model_glb(folder / file, character, atlas.mesh, [lod], entries, **one)
     manifest = {
         "schema": SCHEMA,
         "name": character.name,

@@ -86,7 +86,7 @@ class DrawRange:
 
 @dataclass(frozen=True)
 class LodMesh:
-    """One level of detail: uvs and triangles, nothing else.
+    """One level of detail: uvs and triangles, nothing else. N vertices, one for each distinct set of uvs.
 
     Attributes
     ----------
@@ -98,6 +98,9 @@ class LodMesh:
     draws : tuple of DrawRange, in order, covering all faces
     error_m : float
         Largest distance to the full mesh, metres, as measured when it was built.
+    normal_uvs : (N, 2) float32 or None
+        Where each vertex samples the normal texture, in [0, 1]: beside hard edges that is not where its material is.
+        None where it is everywhere.
     """
 
     uvs: NDArray[np.float32]
@@ -105,6 +108,7 @@ class LodMesh:
     triangles: NDArray[np.uint32]
     draws: tuple[DrawRange, ...]
     error_m: float
+    normal_uvs: NDArray[np.float32] | None = None
 
 
 @dataclass(frozen=True)
@@ -345,13 +349,13 @@ def _morton_order(uvs: NDArray[np.float32], triangles: NDArray[np.int64]) -> NDA
 
 
 def _merge_vertices(
-    uvs: NDArray[np.float32], owner_uvs: NDArray[np.float32], triangles: NDArray[np.int64]
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint32]]:
-    """One vertex for each pair of uv and owner uv, in order of first use by the triangles."""
-    both = np.ascontiguousarray(np.concatenate([uvs, owner_uvs], axis=1))
-    both[both == 0.0] = 0.0  # -0 and 0 are one place
-    words = both.view(np.uint64).reshape(-1, 2)
-    order = np.lexsort((words[:, 1], words[:, 0]))
+    vertices: NDArray[np.float32], triangles: NDArray[np.int64]
+) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """One vertex for each distinct row of uvs, (N, 4 or 6), in order of first use by the triangles."""
+    rows = np.ascontiguousarray(vertices)
+    rows[rows == 0.0] = 0.0  # -0 and 0 are one place
+    words = rows.view(np.uint64)
+    order = np.lexsort(words.T[::-1])
     new = np.ones(len(order), bool)
     new[1:] = (words[order[1:]] != words[order[:-1]]).any(axis=1)
     merged = np.empty(len(order), np.int64)
@@ -362,45 +366,54 @@ def _merge_vertices(
     renumbered = np.zeros(int(new.sum()), np.uint32)
     renumbered[by_use] = np.arange(len(by_use), dtype=np.uint32)
     representative = order[np.flatnonzero(new)][by_use]
-    return both[representative, :2], both[representative, 2:], renumbered[corners].reshape(-1, 3)
+    return rows[representative], renumbered[corners].reshape(-1, 3)
+
+
+def _read_vertices(document: Document, accessors: tuple[int | None, ...], where: str) -> NDArray[np.float32]:
+    """Uvs, owner uvs and normal uvs of a primitive's vertices, (N, 6); normal uvs are the uvs where there are none."""
+    uvs, owners = (document.accessor(index) for index in accessors[:2] if index is not None)
+    normals = uvs if accessors[2] is None else document.accessor(accessors[2])
+    if uvs.ndim != 2 or uvs.shape[1] != 2 or not uvs.shape == owners.shape == normals.shape:
+        raise AssetError(f"{where}: TEXCOORD_0, _OWNER_UV and _NORMAL_UV do not fit each other: {REBUILD}")
+    vertices = np.concatenate([uvs, owners, normals], axis=1).astype(np.float32)
+    if not np.isfinite(vertices).all():
+        raise AssetError(f"{where} has uvs that are not finite: {REBUILD}")
+    return vertices
 
 
 def _read_lod(document: Document, mesh_index: Any, where: str, error_m: float) -> LodMesh:
     """One LOD's mesh: its primitives become draw ranges over one merged vertex list."""
-    all_uvs: list[NDArray[np.float32]] = []
-    all_owners: list[NDArray[np.float32]] = []
+    arrays: list[NDArray[np.float32]] = []
     all_triangles: list[NDArray[np.int64]] = []
     draws: list[DrawRange] = []
     num_vertices = first = 0
-    accessors: dict[tuple[int, int], int] = {}  # first vertex of a primitive's arrays, and which arrays they are
-    owners_of: dict[tuple[int, int], int] = {}
+    places: dict[tuple[int | None, ...], tuple[int, int]] = {}  # of a primitive's arrays: which, and its first vertex
     for primitive in document.item("meshes", mesh_index).get("primitives", []):
         attributes = primitive.get("attributes", {})
         if "TEXCOORD_0" not in attributes or "_OWNER_UV" not in attributes or "indices" not in primitive:
             raise AssetError(f"{where} has no TEXCOORD_0, _OWNER_UV or indices: {REBUILD}")
-        key = (attributes["TEXCOORD_0"], attributes["_OWNER_UV"])
-        if key not in accessors:
-            uvs, owners = (document.accessor(index) for index in key)
-            if uvs.ndim != 2 or uvs.shape[1] != 2 or uvs.shape != owners.shape:
-                raise AssetError(f"{where}: TEXCOORD_0 and _OWNER_UV do not fit each other: {REBUILD}")
-            if not (np.isfinite(uvs).all() and np.isfinite(owners).all()):
-                raise AssetError(f"{where} has uvs that are not finite: {REBUILD}")
-            accessors[key], owners_of[key] = num_vertices, len(all_owners)
-            num_vertices += len(uvs)
-            all_uvs.append(uvs.astype(np.float32))
-            all_owners.append(owners.astype(np.float32))
+        key = (attributes["TEXCOORD_0"], attributes["_OWNER_UV"], attributes.get("_NORMAL_UV"))
+        if key not in places:
+            places[key] = len(arrays), num_vertices
+            arrays.append(_read_vertices(document, key, where))
+            num_vertices += len(arrays[-1])
+        array, start = places[key]
         indices = document.accessor(primitive["indices"]).astype(np.int64)
-        if len(indices) % 3 or (len(indices) and indices.max() >= num_vertices - accessors[key]):
+        if len(indices) % 3 or (len(indices) and indices.max() >= num_vertices - start):
             raise AssetError(f"{where} has triangles of vertices that do not exist: {REBUILD}")
         triangles = indices.reshape(-1, 3)
-        triangles = triangles[_morton_order(all_owners[owners_of[key]], triangles)]
-        all_triangles.append(triangles + accessors[key])
+        triangles = triangles[_morton_order(arrays[array][:, 2:4], triangles)]
+        all_triangles.append(triangles + start)
         draws.append(DrawRange(first, len(indices) // 3, int(primitive.get("material", -1))))
         first += len(indices) // 3
     if not first:
         raise AssetError(f"{where} has no triangles: {REBUILD}")
-    merged = _merge_vertices(np.concatenate(all_uvs), np.concatenate(all_owners), np.concatenate(all_triangles))
-    return LodMesh(*merged, draws=tuple(draws), error_m=error_m)
+    has_normal_uvs = any(key[2] is not None for key in places)
+    vertices = np.concatenate(arrays)[:, : 6 if has_normal_uvs else 4]
+    vertices, merged = _merge_vertices(vertices, np.concatenate(all_triangles))
+    normal_uvs = np.ascontiguousarray(vertices[:, 4:]) if has_normal_uvs else None
+    uvs, owners = np.ascontiguousarray(vertices[:, :2]), np.ascontiguousarray(vertices[:, 2:4])
+    return LodMesh(uvs, owners, merged, tuple(draws), error_m, normal_uvs)
 
 
 def _read_lods(document: Document, manifest: Manifest) -> tuple[LodMesh, ...]:

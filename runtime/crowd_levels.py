@@ -48,6 +48,8 @@ class LevelMesh:
         Bytes an index.
     groups : tuple of DrawGroup
     error_m : float
+    normal_uvs : Buffer or None
+        As of `GpuLod`; not released with the crowd.
     """
 
     positions: Floats
@@ -58,6 +60,7 @@ class LevelMesh:
     index_size: int
     groups: tuple[DrawGroup, ...]
     error_m: float
+    normal_uvs: moderngl.Buffer | None = None
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,8 @@ class CrowdLevel:
         Places of all vertices in all poses, where they are ready-made, with their scale and offset.
     error_m : float
         Of the shape, and of what was simplified here.
+    normal_uvs : Buffer or None
+        Of the mesh.
     """
 
     vertices: moderngl.Buffer
@@ -86,6 +91,7 @@ class CrowdLevel:
     place_scale: tuple[float, ...]
     place_offset: tuple[float, ...]
     error_m: float
+    normal_uvs: moderngl.Buffer | None
 
 
 @contextmanager
@@ -148,7 +154,17 @@ def _expand(
 def model_meshes(ctx: moderngl.Context, model: Model) -> list[LevelMesh]:
     """A model's own levels, ready to become a crowd's."""
     return [
-        LevelMesh(positions, lod.mesh.uvs, joints, weights, lod.indices, lod.index_size, lod.groups, lod.mesh.error_m)
+        LevelMesh(
+            positions=positions,
+            uvs=lod.mesh.uvs,
+            joints=joints,
+            weights=weights,
+            indices=lod.indices,
+            index_size=lod.index_size,
+            groups=lod.groups,
+            error_m=lod.mesh.error_m,
+            normal_uvs=lod.normal_uvs,
+        )
         for lod, (positions, joints, weights) in zip(model.lods, expand_levels(ctx, model))
     ]
 
@@ -205,6 +221,7 @@ def upload_level(
         place_scale=(0.0, 0.0, 0.0) if places is None else tuple(places.scale.tolist()),
         place_offset=(0.0, 0.0, 0.0) if places is None else tuple(places.offset.tolist()),
         error_m=mesh.error_m + (shifts[int(eight)] if places is None else places.rounding_m),
+        normal_uvs=mesh.normal_uvs,
     )
 
 

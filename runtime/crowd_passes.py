@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from runtime import gl_state
 from runtime.crowd_levels import CrowdLevel
 from runtime.crowd_stage import INSTANCE_WORDS, Selection
+from runtime.gpu_levels import NORMAL_ATTRIBUTES
 from runtime.gpu_textures import TEXTURE_UNITS
 from runtime.passes import set_material
 from runtime.programs import build_program, set_uniforms
@@ -160,13 +161,15 @@ class CrowdPasses:
         return array, program
 
     def _program(self, frame: CrowdFrame, level: CrowdLevel) -> moderngl.Program:
-        key = (*_view_key(frame), level.places is not None, level.eight_joints)
+        key = (*_view_key(frame), level.places is not None, level.eight_joints, level.normal_uvs is not None)
         if key not in self._programs:
             defines: dict[str, str | int] = {**frame.defines, **frame.view.defines}
             if level.places is not None:
                 defines["PLACED"] = 1
             if level.eight_joints:
                 defines["EIGHT_JOINTS"] = 1
+            if level.normal_uvs is not None:
+                defines["NORMAL_UV"] = 1
             stages = ["crowd.vert", *([frame.view.fragment] if frame.view.fragment else [])]
             program = build_program(self.ctx, stages, defines, frame.view.text, frame.view.folder)
             set_uniforms(program, {**TEXTURE_UNITS, "place_texture": PLACE_UNIT})
@@ -186,7 +189,10 @@ class CrowdPasses:
             layout += [("1u2", "in_place"), ("1u2", "")]
             instance_layout = [(form, name) for name, *_, form in _INSTANCE_ATTRIBUTES]
             content = []
-            for buffer, attributes, ending in ((level.vertices, layout, ""), (self._instances, instance_layout, " /i")):
+            buffers = [(level.vertices, layout, ""), (self._instances, instance_layout, " /i")]
+            if level.normal_uvs is not None and "in_normal_uv" in program:
+                buffers.append((level.normal_uvs, list(NORMAL_ATTRIBUTES), ""))
+            for buffer, attributes, ending in buffers:
                 formats = " ".join(form if name in program else _skipped(form) for form, name in attributes)
                 content.append((buffer, formats + ending, *(name for _, name in attributes if name in program)))
             indices = level.indices if kind == "triangles" else self._seam_lines(number)

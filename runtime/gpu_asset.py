@@ -237,7 +237,7 @@ class Model:
         return {
             "position": total("position_texture"),
             "weights": total("weight_cells", "weight_records", "joint_records"),
-            "levels": sum(lod.vertices.size + lod.indices.size for lod in self.lods),
+            "levels": sum(lod.nbytes for lod in self.lods),
             "normal": sum(level.nbytes for level in self.asset.textures["normal"].levels),
             "colors": sum(
                 level.nbytes for name in ("base_color", "orm", "emissive") if name in self.asset.textures

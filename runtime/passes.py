@@ -85,11 +85,14 @@ class Passes:
 
     def adopt(self, program: moderngl.Program, name: str, tessellated: bool, model: Model) -> None:
         """Draw a view of a model with a program that was made elsewhere; it is released with the others."""
-        for part in (part for lod in model.lods for part in lod.groups):
-            self._programs[_program_key(name, tessellated, model, part.material)] = program
+        for level, lod in enumerate(model.lods):
+            for part in lod.groups:
+                self._programs[_program_key(name, tessellated, model, level, part.material)] = program
 
-    def _program(self, look: Look, tessellated: bool, model: Model, material: MaterialData) -> moderngl.Program:
-        key = _program_key(look.name, tessellated, model, material)
+    def _program(
+        self, look: Look, tessellated: bool, model: Model, level: int, material: MaterialData
+    ) -> moderngl.Program:
+        key = _program_key(look.name, tessellated, model, level, material)
         program = self._programs.get(key)
         if program is None:
             view = look.view
@@ -100,6 +103,7 @@ class Passes:
                 **self._defines,
                 **view.defines,
                 **model.shader_defines,
+                **model.lods[level].shader_defines,
                 **dict.fromkeys(what_it_lacks(model, material), 1),
             }
             program = build_program(self.ctx, stages, defines, view.text, view.folder)
@@ -108,9 +112,11 @@ class Passes:
             self._programs[key] = program
         return program
 
-    def _prepare(self, look: Look, tessellated: bool, model: Model, material: MaterialData) -> moderngl.Program:
-        """The program for a material, with all its uniforms."""
-        program = self._program(look, tessellated, model, material)
+    def _prepare(
+        self, look: Look, tessellated: bool, model: Model, level: int, material: MaterialData
+    ) -> moderngl.Program:
+        """The program for a material of a level, with all its uniforms."""
+        program = self._program(look, tessellated, model, level, material)
         set_uniforms(program, model.constants)
         set_material(program, material, look.view.blends)
         set_uniforms(program, look.uniforms)
@@ -153,7 +159,7 @@ class Passes:
         gl.glFrontFace(gl_state.CW if group.mirrored else gl_state.CCW)
         for part in ranges:
             gl.switch(gl_state.CULL_FACE, not (part.material.double_sided or view.two_sided))
-            program = self._prepare(look, group.tessellated, model, part.material)
+            program = self._prepare(look, group.tessellated, model, group.level, part.material)
             array = model.levels.vertex_array((id(self), program.glo), group.key, program, group.level, kind)
             for first in range(0, part.count, at_most or part.count):
                 faces = min(at_most or part.count, part.count - first)
@@ -179,7 +185,8 @@ class Passes:
         if levels.seam_lines(group.level) is None:
             return
         group.model.bind_textures()
-        program = self._prepare(over, False, group.model, group.model.lods[group.level].groups[0].material)
+        material = group.model.lods[group.level].groups[0].material
+        program = self._prepare(over, False, group.model, group.level, material)
         array = levels.vertex_array((id(self), program.glo), group.key, program, group.level, "seams")
         array.render(moderngl.LINES, instances=len(group.records))
 
@@ -200,8 +207,11 @@ def what_it_lacks(model: Model, material: MaterialData) -> tuple[str, ...]:
     )
 
 
-def _program_key(name: str, tessellated: bool, model: Model, material: MaterialData) -> tuple[str | bool, ...]:
-    return name, tessellated, *model.shader_defines, *what_it_lacks(model, material)
+def _program_key(
+    name: str, tessellated: bool, model: Model, level: int, material: MaterialData
+) -> tuple[str | bool, ...]:
+    needed = (*model.shader_defines, *model.lods[level].shader_defines)
+    return name, tessellated, *needed, *what_it_lacks(model, material)
 
 
 def _set_state(gl: Functions, view: View) -> None:

@@ -15,6 +15,9 @@ in uvec4 in_more_joints;
 in vec4 in_more_weights;
 #endif
 in vec2 in_uv;
+#ifdef NORMAL_UV
+in uvec2 in_normal_uv;  // 65535ths
+#endif
 in vec4 in_world_row0;   // once an instance: object space to world (seen from the eye)
 in vec4 in_world_row1;
 in vec4 in_world_row2;
@@ -29,6 +32,9 @@ uniform vec3 place_offset;
 #endif
 
 out vec2 surface_uv;
+#ifdef NORMAL_UV
+out vec2 surface_normal_uv;
+#endif
 out vec3 surface_position;
 out mat3 surface_normal_matrix;
 out vec3 surface_rest;
@@ -92,6 +98,9 @@ void main() {
     surface_position = transform_point(world, point);
     gl_Position = clip_from_world * vec4(surface_position, 1.0);
     surface_uv = in_uv;
+#ifdef NORMAL_UV
+    surface_normal_uv = vec2(in_normal_uv) / 65535.0;
+#endif
     surface_normal_matrix = normal_matrix(world) * normal_matrix(pose);
     surface_rest = in_position;
     surface_tint = in_tint;

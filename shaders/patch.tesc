@@ -12,6 +12,9 @@ layout(vertices = 3) out;
 
 in vec2 point_uv[];
 in vec2 point_owner_uv[];
+#ifdef NORMAL_UV
+in vec2 point_normal_uv[];
+#endif
 in vec4 point_world_row0[];
 in vec4 point_world_row1[];
 in vec4 point_world_row2[];
@@ -20,6 +23,9 @@ flat in ivec2 point_numbers[];
 
 out vec2 corner_uv[];
 out vec2 corner_owner_uv[];
+#ifdef NORMAL_UV
+out vec2 corner_normal_uv[];
+#endif
 out vec4 corner_edge_uvs[];  // ends of the owning edge that starts at this corner
 out vec3 corner_position[];
 patch out vec4 patch_world_row0;
@@ -54,6 +60,9 @@ void main() {
     vec2 owner = point_owner_uv[corner];
     corner_uv[gl_InvocationID] = point_uv[corner];
     corner_owner_uv[gl_InvocationID] = owner;
+#ifdef NORMAL_UV
+    corner_normal_uv[gl_InvocationID] = point_normal_uv[corner];
+#endif
     corner_edge_uvs[gl_InvocationID] = vec4(point_uv[3 + 2 * corner], point_uv[4 + 2 * corner]);
     corner_position[gl_InvocationID] = tessellation.z > 0.0
         ? vec3(0.0)

@@ -14,6 +14,9 @@ layout(triangles, fractional_odd_spacing, ccw) in;
 
 in vec2 corner_uv[];
 in vec2 corner_owner_uv[];
+#ifdef NORMAL_UV
+in vec2 corner_normal_uv[];
+#endif
 in vec4 corner_edge_uvs[];
 in vec3 corner_position[];
 patch in vec4 patch_world_row0;
@@ -55,4 +58,7 @@ void main() {
     PRECISE vec2 own_uv = corner_uv[0] * at.x + corner_uv[1] * at.y + corner_uv[2] * at.z;
     mat3x4 world = mat3x4(patch_world_row0, patch_world_row1, patch_world_row2);
     emit_point(own_uv, geometry_place(at, own_uv), world, patch_tint, patch_numbers);
+#ifdef NORMAL_UV
+    surface_normal_uv = corner_normal_uv[0] * at.x + corner_normal_uv[1] * at.y + corner_normal_uv[2] * at.z;
+#endif
 }

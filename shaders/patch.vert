@@ -3,9 +3,15 @@
 
 in vec2 in_uv;
 in vec2 in_owner_uv;
+#ifdef NORMAL_UV
+in uvec2 in_normal_uv;  // 65535ths
+#endif
 
 out vec2 point_uv;
 out vec2 point_owner_uv;
+#ifdef NORMAL_UV
+out vec2 point_normal_uv;
+#endif
 out vec4 point_world_row0;
 out vec4 point_world_row1;
 out vec4 point_world_row2;
@@ -15,6 +21,9 @@ flat out ivec2 point_numbers;
 void main() {
     point_uv = in_uv;
     point_owner_uv = in_owner_uv;
+#ifdef NORMAL_UV
+    point_normal_uv = vec2(in_normal_uv) / 65535.0;
+#endif
     point_world_row0 = in_world_row0;
     point_world_row1 = in_world_row1;
     point_world_row2 = in_world_row2;

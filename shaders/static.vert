@@ -1,4 +1,4 @@
-// A level of detail as it is: one vertex a corner of its triangles, everything but two uvs fetched from textures.
+// A level of detail as it is: one vertex a corner of its triangles, everything but its uvs fetched from textures.
 //
 // Every copy of a surface point has the same owner uv and so computes the same bits (method: watertight, bit for bit);
 // the material is sampled at the copy's own uv.
@@ -9,6 +9,9 @@
 
 in vec2 in_uv;
 in vec2 in_owner_uv;
+#ifdef NORMAL_UV
+in uvec2 in_normal_uv;  // 65535ths
+#endif
 
 void main() {
 #ifdef WITHOUT_OWNERS
@@ -17,4 +20,7 @@ void main() {
     vec2 geometry_uv = in_owner_uv;
 #endif
     emit_point(in_uv, geometry_uv, mat3x4(in_world_row0, in_world_row1, in_world_row2), in_tint, in_numbers);
+#ifdef NORMAL_UV
+    surface_normal_uv = vec2(in_normal_uv) / 65535.0;
+#endif
 }

@@ -17,6 +17,7 @@ from preprocess.gltf.locate import Places, expand_ranges, locate_corners
 from preprocess.gltf.normals import face_normals
 from preprocess.mesh import Floats, SkinnedMesh, TexturedSurface
 
+NORMAL_UV_STEPS = 65535  # across the atlas
 SAME_NORMAL = 1e-3  # normals of one point that differ less, a component, are one vertex
 
 
@@ -28,6 +29,8 @@ class LodMesh:
     ----------
     positions, normals : (N, 3) float32
     uvs, owner_uvs : (N, 2) float32
+    normal_uvs : (N, 2) uint16 or None
+        Where the normal texture is sampled, as whole steps; None where that is at `uvs`.
     joints : (N, K) uint8 or uint16
     weights : (N, K) float32
         Heaviest first, rows sum to one.
@@ -38,6 +41,7 @@ class LodMesh:
     normals: NDArray[np.float32]
     uvs: NDArray[np.float32]
     owner_uvs: NDArray[np.float32]
+    normal_uvs: NDArray[np.uint16] | None
     joints: NDArray[np.unsignedinteger]
     weights: NDArray[np.float32]
     faces: Indices
@@ -102,6 +106,7 @@ def build_lod_mesh(
     owner_uvs: NDArray[np.integer],
     face_source: NDArray[np.integer],
     num_influences: int,
+    normal_uvs: Floats | None = None,
 ) -> LodMesh:
     """Turn a level into vertex attributes.
 
@@ -118,6 +123,8 @@ def build_lod_mesh(
         A face of the full mesh that each face stems from.
     num_influences : int
         4 or 8.
+    normal_uvs : (F, 3, 2) float64, optional
+        Where the level's corners sample the normal texture, if not at its uvs.
     """
     places, corner_points, point_corners = locate_corners(mesh.surface, level, face_source)
     normals = _corner_normals(mesh, level, places, corner_points)
@@ -133,13 +140,19 @@ def build_lod_mesh(
     flat = normals.reshape(-1, 3)
     steps = np.rint(flat / SAME_NORMAL).astype(np.int64)
     vertices, texture_vertices = level.faces.reshape(-1), level.face_uvs.reshape(-1)
-    index, corners = group_rows(vertices, texture_vertices, *steps.T)
+    columns = [vertices, texture_vertices, *steps.T]
+    stored = None
+    if normal_uvs is not None:
+        stored = np.rint(normal_uvs.reshape(-1, 2) * NORMAL_UV_STEPS).astype(np.uint16)
+        columns += list(stored.T)
+    index, corners = group_rows(*columns)
     surface_vertex = vertices[corners]
     return LodMesh(
         positions=level.positions[surface_vertex].astype(np.float32),
         normals=flat[corners].astype(np.float32),
         uvs=level.uvs[texture_vertices[corners]].astype(np.float32),
         owner_uvs=level.uvs[owner_uvs[surface_vertex]].astype(np.float32),
+        normal_uvs=None if stored is None else stored[corners],
         joints=joints[surface_vertex].astype(np.uint8 if num_joints <= 256 else np.uint16),
         weights=weights[surface_vertex].astype(np.float32),
         faces=index.reshape(-1, 3),

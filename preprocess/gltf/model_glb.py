@@ -1,7 +1,8 @@
 """model.glb: skeleton, clips and one skinned mesh a level of detail, as glTF that any viewer opens.
 
 The scene shows the finest level; the others hang on it by MSFT_lod. Materials name the folder's textures by relative
-uri. For the runtime every vertex also has `_OWNER_UV`, where its geometry is fetched (docs/format.md).
+uri. For the runtime every vertex also has `_OWNER_UV`, where its geometry is fetched, and, where that is elsewhere than
+its material, `_NORMAL_UV`, where its normal is (docs/format.md).
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from preprocess.decimate.lod import Lod
 from preprocess.gltf.character import Character
 from preprocess.gltf.lod_mesh import LodMesh, build_lod_mesh
 from preprocess.gltf.model_materials import describe_textures, plan_draws
-from preprocess.mesh import SkinnedMesh
+from preprocess.mesh import Floats, SkinnedMesh
 from runtime.clip import Clip
 from runtime.skeleton import Skeleton
 
@@ -50,9 +51,11 @@ class _Buffer:
         self.views.append(view)
         return len(self.views) - 1
 
-    def accessor(self, values: NDArray[Any], target: int | None, bounds: bool = False) -> int:
+    def accessor(self, values: NDArray[Any], target: int | None, bounds: bool = False, normalized: bool = False) -> int:
         """An accessor over a view of its own."""
         spec = self._describe(values, bounds)
+        if normalized:
+            spec["normalized"] = True
         stored = values.swapaxes(1, 2) if values.ndim == 3 else values
         spec["bufferView"] = self.view(np.ascontiguousarray(stored).tobytes(), target)
         self.accessors.append(spec)
@@ -177,6 +180,8 @@ def _describe_mesh(name: str, level: LodMesh, face_draws: NDArray[np.int64], buf
         "TEXCOORD_0": buffer.accessor(level.uvs, ARRAY_BUFFER),
         "_OWNER_UV": buffer.accessor(level.owner_uvs, ARRAY_BUFFER),
     }
+    if level.normal_uvs is not None:
+        attributes["_NORMAL_UV"] = buffer.accessor(level.normal_uvs, ARRAY_BUFFER, normalized=True)
     for number in range(level.joints.shape[1] // 4):
         columns = slice(4 * number, 4 * number + 4)
         joints = np.ascontiguousarray(level.joints[:, columns])
@@ -214,6 +219,7 @@ def describe_model(
     textures: Mapping[str, Mapping[str, Any]],
     influences: int = 4,
     names: Sequence[str] | None = None,
+    normal_uvs: Sequence[Floats | None] | None = None,
 ) -> tuple[dict[str, Any], bytes]:
     """The glTF of a built character, as JSON and binary chunk. See `write_model_glb`."""
     if influences not in (4, 8):
@@ -229,8 +235,10 @@ def describe_model(
     materials, draw_of_material = plan_draws(character.materials, np.unique(mesh.face_materials), textures)
     meshes: list[dict[str, Any]] = []
     first = len(nodes)
-    for name, lod in zip(names, lods):
-        level = build_lod_mesh(mesh, skeleton.num_joints, lod.surface, lod.owner_uvs, lod.face_source, influences)
+    for name, lod, own_uvs in zip(names, lods, normal_uvs or [None] * len(lods)):
+        level = build_lod_mesh(
+            mesh, skeleton.num_joints, lod.surface, lod.owner_uvs, lod.face_source, influences, own_uvs
+        )
         face_draws = draw_of_material[mesh.face_materials[lod.face_source]]
         nodes.append({"name": name, "mesh": len(meshes), "skin": 0})
         meshes.append(_describe_mesh(name, level, face_draws, buffer))
@@ -320,6 +328,7 @@ def write_model_glb(
     textures: Mapping[str, Mapping[str, Any]],
     influences: int = 4,
     names: Sequence[str] | None = None,
+    normal_uvs: Sequence[Floats | None] | None = None,
 ) -> None:
     """Write model.glb.
 
@@ -340,13 +349,15 @@ def write_model_glb(
         Joints a vertex. Dropped weight goes to the others.
     names : sequence of str, optional
         Node names of the levels; NAME_LOD0, NAME_LOD1 ... by default.
+    normal_uvs : sequence of (F, 3, 2) float64 or None, optional
+        Where each level's corners sample the normal texture, if not at its uvs.
 
     Raises
     ------
     ValueError
         If there is no level or `influences` is neither 4 nor 8.
     """
-    model, data = describe_model(character, mesh, lods, textures, influences, names)
+    model, data = describe_model(character, mesh, lods, textures, influences, names, normal_uvs)
     document = _as_document(model)
     document.set_binary_blob(data)
     document.save_binary(str(path))

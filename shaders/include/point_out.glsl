@@ -5,6 +5,9 @@
 #include "joint_color.glsl"
 
 out vec2 surface_uv;
+#ifdef NORMAL_UV
+out vec2 surface_normal_uv;  // emit_point leaves it to its caller
+#endif
 out vec3 surface_position;
 out mat3 surface_normal_matrix;
 out vec3 surface_rest;

@@ -5,6 +5,11 @@
 #include "frame.glsl"
 
 in vec2 surface_uv;               // place in the atlas
+#ifdef NORMAL_UV
+in vec2 surface_normal_uv;        // where the normal texture is sampled: beside hard edges a texel further inwards
+#else
+#define surface_normal_uv surface_uv
+#endif
 in vec3 surface_position;         // metres, world axes, from the eye
 in mat3 surface_normal_matrix;    // object space at rest -> world, not normalised
 in vec3 surface_rest;             // object space at rest, metres
@@ -55,7 +60,7 @@ vec3 encode_srgb(vec3 linear_color) {
 
 // The texture's vector as stored, turned to world axes and made unit: object space normals, filtered as vectors.
 vec3 shading_normal() {
-    vec3 at_rest = texture(normal_texture, surface_uv).xyz * normal_decode.x + normal_decode.y;
+    vec3 at_rest = texture(normal_texture, surface_normal_uv).xyz * normal_decode.x + normal_decode.y;
     vec3 normal = surface_normal_matrix * at_rest;
     normal *= inversesqrt(max(dot(normal, normal), 1e-30));
     return gl_FrontFacing ? normal : -normal;
