@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import Delaunay
 
+from preprocess.atlas.repack import repack_charts
 from preprocess.mesh import Floats, Ints, TexturedSurface
-from preprocess.repack import repack_charts
 
 
 def grid_faces(columns: int, rows: int) -> Ints:

@@ -21,7 +21,7 @@ from preprocess.straighten.chains import Chains, find_chains
 from preprocess.straighten.overlap import find_meeting_segments, find_swept_runs
 from preprocess.straighten.remap import AREA_WEIGHT, _energy, chart_of_faces, find_rest_shapes, relative_areas
 from preprocess.straighten.simplify import simplify_chains, straight_points
-from preprocess.straighten.warp import find_warp, warp_image
+from preprocess.straighten.warp import find_warp
 from preprocess.texels import sample_bilinear
 from tests.builders_straighten import moebius, ring_in_square, tube, two_charts, with_dart
 
@@ -233,7 +233,7 @@ def test_warped_image_agrees_on_the_surface(make: Any, size: tuple[int, int]) ->
     old, new = result.split.surface, result.surface
     assert not np.array_equal(old.uvs, new.uvs)
     image = smooth_image(*size)
-    warped = warp_image(image, old, new)
+    warped = find_warp(old, new, *size).apply(image)
     rng = np.random.default_rng(0)
     faces = rng.integers(0, len(new.faces), 4000)
     weights = rng.dirichlet([1.0, 1.0, 1.0], 4000)

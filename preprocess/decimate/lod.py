@@ -165,6 +165,3 @@ class Chain:
     blocked: dict[str, int]
     repairs: Repairs
     warnings: tuple[str, ...] = field(default=())
-
-
-NO_INTS: NDArray[np.int32] = np.zeros(0, np.int32)

@@ -19,7 +19,6 @@ from preprocess.decimate.jit import entry, helper
 from preprocess.decimate.topology import TAIL, TWIN, WEDGE
 
 SIZE = 21
-POSITION_SIZE = 10
 SYSTEM_ROW = 8  # of the scratch table, see rules.Mesh
 
 # As NumPy integers, constants do not make numba compile a kernel once for each value.

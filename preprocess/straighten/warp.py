@@ -138,27 +138,3 @@ def find_warp(old: TexturedSurface, new: TexturedSurface, width: int, height: in
         old_dx=jacobian[:, :, 0],
         old_dy=jacobian[:, :, 1],
     )
-
-
-def warp_image(
-    texels: NDArray[np.floating],
-    old: TexturedSurface,
-    new: TexturedSurface,
-    size: tuple[int, int] | None = None,
-) -> Floats:
-    """Resample one image that lives in the old uvs for the new ones.
-
-    Parameters
-    ----------
-    texels : (h, w, C) float
-    old, new : TexturedSurface
-        As in `find_warp`.
-    size : (width, height) or None
-        Of the result; the source's where None.
-
-    Returns
-    -------
-    (H, W, C) float64
-    """
-    width, height = size or (texels.shape[1], texels.shape[0])
-    return find_warp(old, new, width, height).apply(texels)

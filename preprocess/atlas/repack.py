@@ -27,7 +27,6 @@ FEW_CHARTS_CELLS = 256  # the same where there are so many charts that time matt
 MANY_CHARTS = 400
 SCALE_STEPS = 9  # of bisection: the scale is within 1/512 of the best that the order allows
 BEST_FILL = 0.97  # no packing of real charts fills more: where the search starts
-LEAST_EXTENT_PX = 4.0  # a chart smaller than that in both directions is enlarged
 
 
 @dataclass(frozen=True)
