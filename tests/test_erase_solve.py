@@ -25,9 +25,10 @@ from preprocess.erase import (
 )
 from preprocess.erase import eraser as eraser_module
 from preprocess.erase import plan as plan_module
+from preprocess.erase.matrix import GRADIENT_MASS
 from preprocess.erase.mips import mip_sizes, shrink
 from preprocess.erase.quantise import PEAK, REACH, STAY, TOLERATED, _best_steps, _Search
-from preprocess.erase.solve import GRADIENT_MASS, NotConvergedError
+from preprocess.erase.solve import NotConvergedError
 from preprocess.erase.terms import inward_normals, jump_rows, lerp_targets, sample_rows, slope_rows, value_rows
 from preprocess.mesh import TexturedSurface
 from preprocess.seams import find_seams

@@ -9,8 +9,8 @@ import pytest
 
 from preprocess.erase.grid import _mark_near, build_grid
 from preprocess.erase.intervals import MERGE_REL, _cut, split_edges
+from preprocess.erase.matrix import GRADIENT_MASS, _square_elements, grid_matrix
 from preprocess.erase.region import find_inside, find_region, silhouette_lines
-from preprocess.erase.solve import GRADIENT_MASS, _square_elements, grid_matrix
 from preprocess.erase.spread import _blend_square, _find_free, spread_far, spread_near
 from preprocess.erase.terms import (
     inward_normals,

@@ -18,14 +18,13 @@ from scipy import sparse
 
 from preprocess.erase.grid import Grid
 from preprocess.erase.intervals import Intervals
+from preprocess.erase.matrix import GRADIENT_MASS, outside_force
 from preprocess.erase.options import EraseOptions
 from preprocess.erase.quantise import round_strip
 from preprocess.erase.region import Region, silhouette_ends
 from preprocess.erase.solve import (
     BOUND_TOLERANCE_REL,
-    GRADIENT_MASS,
     Factor,
-    outside_force,
     solve_bounded,
     solve_change,
 )
@@ -233,10 +232,10 @@ class Eraser:
         span = np.maximum(np.abs(values).max(axis=0), 1e-30)
         interpolation, weights = self.grid.interpolation, self.options.weights
         force = interpolation.T @ outside_force(self.grid, values, weights.outside_gradient * GRADIENT_MASS)
+        free_values = values[self.grid.free]
         for name, weight, target in self._targets(values, sample_values, end_values):
-            deviation = target - self.rows[name] @ values
-            force += weight * (interpolation.T @ (self.rows[name].T @ deviation))
-        jump = self.factor.jump @ values[self.grid.free]
+            force += weight * (self.rows[name].T @ (target - self.rows[name] @ free_values))
+        jump = self.factor.jump @ free_values
         tolerance = TOLERANCE_REL if self.options.seam_weight is None else np.inf
         free, after, repeats = solve_change(self.factor, force / span, jump / span, tolerance)
         if bounds is not None:
@@ -263,9 +262,7 @@ class Eraser:
         """Solve again within the range where a texel that seams read has left it."""
         assert self.factor is not None
         on_seam = self.grid.node_of(self.strip.texels)
-        # Such nodes are free: squares, where nodes hang, begin further away.
-        unknowns = self.grid.interpolation[on_seam].indices.astype(np.int64)
-        assert len(unknowns) == len(on_seam)
+        unknowns = self.grid.unknown_of(self.strip.texels)
         lower, upper = bounds[0] / span - values[on_seam], bounds[1] / span - values[on_seam]
         start = free[unknowns]
         if max((lower - start).max(initial=0.0), (start - upper).max(initial=0.0)) <= BOUND_TOLERANCE_REL:
@@ -284,7 +281,7 @@ class Eraser:
         yield "slope", weights.slope, 0.0
         if "value" in self.rows:
             if self.options.seam_value == "texture":
-                yield "value", weights.value, self.rows["value"] @ values
+                yield "value", weights.value, self.rows["value"] @ values[self.grid.free]
             else:
                 assert self.value_scale is not None
                 if end_values is None:

@@ -70,6 +70,13 @@ class Grid:
         assert (self.nodes[np.minimum(found, len(self.nodes) - 1)] == texels).all()
         return found
 
+    def unknown_of(self, texels: NDArray[np.integer]) -> NDArray[np.int32]:
+        """Unknown of each texel; every texel must be a free node, as all are that seams read."""
+        texel_of_unknown = self.nodes[self.free]
+        found = np.searchsorted(texel_of_unknown, texels).astype(np.int32)
+        assert not texels.size or (texel_of_unknown[np.minimum(found, len(self.free) - 1)] == texels).all()
+        return found
+
 
 def _mark_near(
     x: NDArray[np.int64], y: NDArray[np.int64], reach: int, shift: int, repeat: bool, mask: NDArray[np.bool_]

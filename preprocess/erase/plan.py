@@ -9,16 +9,16 @@ from __future__ import annotations
 import logging
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from preprocess.erase.eraser import Erased, Eraser, surface_vertices
 from preprocess.erase.grid import Grid, build_grid
 from preprocess.erase.intervals import split_edges
+from preprocess.erase.matrix import GRADIENT_MASS, grid_matrix, rows_matrix
 from preprocess.erase.options import DEFAULT_OPTIONS, EraseOptions, Weights
 from preprocess.erase.region import find_region, silhouette_ends, silhouette_lines
-from preprocess.erase.solve import GRADIENT_MASS, factorise, grid_matrix
-from preprocess.erase.terms import inward_normals, jump_rows, sample_rows, slope_rows, value_rows
+from preprocess.erase.solve import factorise
+from preprocess.erase.terms import inward_normals, jump_elements, sample_rows, slope_elements, to_rows, value_rows
 from preprocess.mesh import Floats, TexturedSurface
 from preprocess.seams import Seams
 
@@ -35,13 +35,10 @@ def _silhouette_lengths(surface: TexturedSurface, seams: Seams) -> Floats:
     return np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
 
 
-def _on_nodes(matrix: sparse.csr_array, nodes: NDArray[np.int64]) -> sparse.csr_array:
-    """The same rows over some texels, sorted, instead of all."""
-    columns = np.searchsorted(nodes, matrix.indices)
-    assert (nodes[np.minimum(columns, len(nodes) - 1)] == matrix.indices).all()
-    rows = sparse.csr_array(
-        (matrix.data, columns.astype(np.int32), matrix.indptr.astype(np.int32)), shape=(matrix.shape[0], len(nodes))
-    )
+def _on_unknowns(rows: sparse.csr_array, grid: Grid) -> sparse.csr_array:
+    """The same rows over the unknowns instead of all texels."""
+    columns = grid.unknown_of(rows.indices)
+    rows = sparse.csr_array((rows.data, columns, rows.indptr), shape=(rows.shape[0], len(grid.free)))
     rows.sum_duplicates()
     return rows
 
@@ -93,36 +90,44 @@ def plan_erasure(
     grid = build_grid(region, fine_reach=fine_reach, reach=reach)
 
     lengths = seams.lengths_m[joined]
-    rows = {"slope": slope_rows(intervals, lengths, inward_normals(surface, seams, width, height)[joined])}
+    rows: dict[str, sparse.csr_array] = {}
     scale = None
     if options.seam_value != "none":
         rows["value"], scale = value_rows(silhouette, _silhouette_lengths(surface, seams))
     if sample_uvs is not None:
         rows["samples"] = sample_rows(sample_uvs, width, height)
-    rows = {name: _on_nodes(matrix, grid.nodes) for name, matrix in rows.items()}
+    rows = {name: _on_unknowns(matrix, grid) for name, matrix in rows.items()}
 
     factor = None
     if len(intervals) and len(grid.nodes):
-        factor = factorise(
-            _assemble(grid, rows, options.weights, region.num_inside),
-            _on_nodes(jump_rows(intervals, lengths), grid.nodes[grid.free]),
-            PENALTY if options.seam_weight is None else options.seam_weight,
-        )
-        logger.debug("erase: %d unknowns at %d x %d", factor.matrix.shape[0], width, height)
+        unknowns = grid.unknown_of(intervals.texels.reshape(-1, 8))
+        normals = inward_normals(surface, seams, width, height)[joined]
+        rows["slope"] = to_rows(unknowns, slope_elements(intervals, lengths, normals), len(grid.free))
+        penalty = PENALTY if options.seam_weight is None else options.seam_weight
+
+        def assemble() -> sparse.csr_array:
+            jump, slope = jump_elements(intervals, lengths), slope_elements(intervals, lengths, normals)
+            elements = np.concatenate([np.sqrt(penalty) * jump, np.sqrt(options.weights.slope) * slope], axis=1)
+            matrix = _assemble_grid(grid, options.weights, region.num_inside)
+            matrix = matrix + rows_matrix(unknowns, elements, len(grid.free))
+            for name, weight in (("value", options.weights.value), ("samples", options.weights.samples)):
+                if name in rows:
+                    matrix = matrix + weight * (rows[name].T @ rows[name])
+            return sparse.csr_array(matrix)
+
+        factor = factorise(assemble, to_rows(unknowns, jump_elements(intervals, lengths), len(grid.free)), penalty)
+        logger.debug("erase: %d unknowns at %d x %d", len(grid.free), width, height)
     return Eraser(surface, seams, options, region, grid, intervals, lengths, silhouette, factor, rows, scale)
 
 
-def _assemble(grid: Grid, rows: dict[str, sparse.csr_array], weights: Weights, num_inside: int) -> sparse.csr_array:
-    """Matrix of all energies but the seam's on the free unknowns, (U, U)."""
+def _assemble_grid(grid: Grid, weights: Weights, num_inside: int) -> sparse.csr_array:
+    """Matrix of the change and gradient energies on the unknowns, (U, U)."""
     matrix = grid_matrix(
         grid,
         weights.change / max(num_inside, 1),
         weights.inside_gradient * GRADIENT_MASS,
         weights.outside_gradient * GRADIENT_MASS,
     )
-    for name, weight in (("slope", weights.slope), ("value", weights.value), ("samples", weights.samples)):
-        if name in rows:
-            matrix = matrix + weight * (rows[name].T @ rows[name])
     return sparse.csr_array(grid.interpolation.T @ matrix @ grid.interpolation)
 
 

@@ -118,6 +118,7 @@ class _Search:
         self.waits = np.ones((self.num_channels, self.num_texels + 1), np.bool_)
         self.waits[:, -1] = False
         self.owner = np.zeros(self.jump.size, np.int32)
+        self.stirred = np.zeros_like(self.jump, np.bool_)  # points whose jump has changed in this sweep
         # Texels of each group, those with few points first, so that tables can be cut to the longest row in use.
         self.degree = np.diff(self.starts)
         order = np.lexsort((self.degree, strip.groups))
@@ -131,7 +132,15 @@ class _Search:
             for start in range(0, len(which), AT_A_TIME):
                 part = slice(start, start + AT_A_TIME)
                 moved |= self._visit(members[which[part]], channel[part], steps)
+        self.stirred[:, -1] = False
+        self._wait_near(*np.nonzero(self.stirred))
+        self.stirred[:] = False
         return moved
+
+    def _wait_near(self, channel: NDArray[np.int64], point: NDArray[np.int64]) -> None:
+        """Let the texels of some points be visited."""
+        self.waits[channel[:, None], self.strip.texels_of_point[point]] = True
+        self.waits[:, -1] = False
 
     def _visit(self, texel: NDArray[np.int64], channel: NDArray[np.int64], steps: range) -> bool:
         self.waits[channel, texel] = False
@@ -161,9 +170,7 @@ class _Search:
         self.off[channel, texel] += step
         self.jump.ravel()[at] = jump[moving] + step[:, None] * share[moving]
         self.jump[:, -1] = 0.0
-        near = self.strip.texels_of_point[np.minimum(points[moving], len(self.weights) - 2)]
-        self.waits[channel[:, None, None], near] = True
-        self.waits[:, -1] = False
+        self.stirred.ravel()[at] = True
         return True
 
     def run(self) -> Floats:
@@ -182,8 +189,7 @@ class _Search:
                 break
             channel, point = np.nonzero((np.abs(self.jump[:, :-1]) > LIMIT) & (best_peak > LIMIT)[:, None])
             self.peaks[channel, point] *= GROWTH
-            self.waits[channel[:, None], self.strip.texels_of_point[point]] = True
-            self.waits[:, -1] = False
+            self._wait_near(channel, point)
             steps = range(-2, 3)
         return best
 

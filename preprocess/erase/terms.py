@@ -7,9 +7,9 @@ cancellation: a seam energy of 1e-20 means what it says.
 
 | function | energy | degree of the square | points |
 |---|---|---|---|
-| `jump_rows` | B(e1) - B(e2) | 4 | 3 |
+| `jump_elements` | B(e1) - B(e2) | 4 | 3 |
 | `value_rows` | B(e) - known values (lerp, outside) | 4 | 3 |
-| `slope_rows` | sum of the inward derivatives of both sides (C1) | 2 | 2 |
+| `slope_elements` | sum of the inward derivatives of both sides (C1) | 2 | 2 |
 | `sample_rows` | B(point) - known value | | |
 """
 
@@ -38,7 +38,7 @@ def _shares(intervals: Intervals, lengths_m: Floats, weights: Floats) -> Floats:
     return np.sqrt(weights * share[intervals.edges][:, None])
 
 
-def to_rows(texels: NDArray[np.int64], values: Floats, num_texels: int) -> sparse.csr_array:
+def to_rows(texels: NDArray[np.integer], values: Floats, num_texels: int) -> sparse.csr_array:
     """Sparse matrix with rows `values` (I, Q, K) at the texels (I, K) of each interval: (I Q, num_texels)."""
     num_intervals, num_points, width = values.shape
     columns = np.broadcast_to(texels[:, None], values.shape).reshape(-1)
@@ -53,8 +53,8 @@ def jump_weights(intervals: Intervals, gamma: Floats) -> Floats:
     return np.concatenate([blend[:, :, 0], -blend[:, :, 1]], axis=2)
 
 
-def jump_rows(intervals: Intervals, lengths_m: Floats) -> sparse.csr_array:
-    """Rows J with |J p|² = D_total(p), the mean squared jump across seams.
+def jump_elements(intervals: Intervals, lengths_m: Floats) -> Floats:
+    """Weights (I, 3, 8) of each interval's eight texels in rows J with |J p|² = D_total(p), the mean squared jump.
 
     Parameters
     ----------
@@ -63,18 +63,18 @@ def jump_rows(intervals: Intervals, lengths_m: Floats) -> sparse.csr_array:
     lengths_m : (E,) float64
         3D lengths of the seams.
 
-    Returns
-    -------
-    (3 I, H W) sparse
-
     References
     ----------
     Liu, Ferguson, Jacobson, Gingold 2017, equation 2.
     """
     gamma, weights = intervals.gauss(3)
-    jump = jump_weights(intervals, gamma) * _shares(intervals, lengths_m, weights)[:, :, None]
+    return jump_weights(intervals, gamma) * _shares(intervals, lengths_m, weights)[:, :, None]
+
+
+def jump_rows(intervals: Intervals, lengths_m: Floats) -> sparse.csr_array:
+    """`jump_elements` as sparse rows over all texels, (3 I, H W)."""
     width, height = intervals.size_px
-    return to_rows(intervals.texels.reshape(-1, 8), jump, width * height)
+    return to_rows(intervals.texels.reshape(-1, 8), jump_elements(intervals, lengths_m), width * height)
 
 
 def value_rows(intervals: Intervals, lengths_m: Floats) -> tuple[sparse.csr_array, Floats]:
@@ -130,8 +130,8 @@ def inward_normals(surface: TexturedSurface, seams: Seams, width: int, height: i
     return normal * (side / np.where(length > 0, length, 1.0))[:, :, None]
 
 
-def slope_rows(intervals: Intervals, lengths_m: Floats, normals: Floats) -> sparse.csr_array:
-    """Rows R with |R p|² the integrated C1 discontinuity across seams.
+def slope_elements(intervals: Intervals, lengths_m: Floats, normals: Floats) -> Floats:
+    """Weights (I, 2, 8) in rows R with |R p|² the integrated C1 discontinuity across seams.
 
     The derivatives of both sides along their inward normals (a texel is the unit of length) cancel where the signal
     runs on smoothly across the seam.
@@ -143,10 +143,6 @@ def slope_rows(intervals: Intervals, lengths_m: Floats, normals: Floats) -> spar
     lengths_m : (E,) float64
     normals : (E, 2, 2) float64
         From `inward_normals`.
-
-    Returns
-    -------
-    (2 I, H W) sparse
     """
     gamma, weights = intervals.gauss(2)
     fractions = intervals.fractions(gamma)
@@ -162,9 +158,13 @@ def slope_rows(intervals: Intervals, lengths_m: Floats, normals: Floats) -> spar
         ],
         axis=-1,
     )  # (I, Q, 2, 4)
-    slope = slope.reshape(*gamma.shape, 8) * _shares(intervals, lengths_m, weights)[:, :, None]
+    return slope.reshape(*gamma.shape, 8) * _shares(intervals, lengths_m, weights)[:, :, None]
+
+
+def slope_rows(intervals: Intervals, lengths_m: Floats, normals: Floats) -> sparse.csr_array:
+    """`slope_elements` as sparse rows over all texels, (2 I, H W)."""
     width, height = intervals.size_px
-    return to_rows(intervals.texels.reshape(-1, 8), slope, width * height)
+    return to_rows(intervals.texels.reshape(-1, 8), slope_elements(intervals, lengths_m, normals), width * height)
 
 
 def sample_rows(uvs: Floats, width: int, height: int) -> sparse.csr_array:
