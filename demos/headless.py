@@ -1,7 +1,8 @@
-"""Pictures without a window: an EGL context of our own, an offscreen framebuffer, a PNG file."""
+"""Pictures without a window: a context of our own, an offscreen framebuffer, a PNG file."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,21 +18,20 @@ SAMPLES = 8  # of multisampling where smooth edges suit the picture
 
 
 def create_context() -> moderngl.Context:
-    """A standalone context that needs no display.
+    """A standalone context that needs no display: EGL on Linux, the system's own elsewhere.
 
     Raises
     ------
     DemoError
         If this machine has none to give.
     """
+    settings: dict[str, Any] = {"backend": "egl"} if sys.platform.startswith("linux") else {}
     try:
-        settings: dict[str, Any] = {"backend": "egl"}
         return moderngl.create_context(standalone=True, **settings)
     except Exception as error:  # the backend raises its bare Exception whatever is missing
         reason = str(error).splitlines()[0]
-        raise DemoError(
-            f"no headless OpenGL ({reason}): install libegl1, libgl1 and libgl1-mesa-dri, or open a window"
-        ) from None
+        advice = "install libegl1, libgl1 and libgl1-mesa-dri" if settings else "update the graphics driver"
+        raise DemoError(f"no headless OpenGL ({reason}): {advice}, or open a window") from None
 
 
 class Canvas:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -165,6 +166,9 @@ def options_of(arguments: argparse.Namespace) -> Options:
 
 def run(program: str, work: Callable[[], None]) -> int:
     """Call a demo's work: exit status 0, or 2 with one line where input or machine are at fault."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a console that lacks an arrow shows a question mark instead
+            stream.reconfigure(errors="replace")
     try:
         work()
     except (DemoError, AssetError, RenderError) as error:

@@ -20,7 +20,7 @@ class Window:
     ----------
     ctx : moderngl.Context
     on_key : function of a key's name ("space", "left", "a", "1" ...)
-    on_drag : function of dx, dy in pixels and whether to move instead of to turn
+    on_drag : function of dx, dy and whether to move (then they are pixels) instead of to turn (screen units)
     on_scroll : function of steps
     """
 
@@ -78,7 +78,10 @@ class Window:
         other = any(glfw.get_mouse_button(self._window, b) for b in (glfw.MOUSE_BUTTON_RIGHT, glfw.MOUSE_BUTTON_MIDDLE))
         shift = glfw.get_key(self._window, glfw.KEY_LEFT_SHIFT) or glfw.get_key(self._window, glfw.KEY_RIGHT_SHIFT)
         if left or other:
-            self.on_drag(dx, dy, bool(other or shift))
+            move = bool(other or shift)
+            # What is moved follows the pointer by pixels, two a screen unit on Retina; turning follows the hand.
+            scale = self.size[0] / max(glfw.get_window_size(self._window)[0], 1) if move else 1.0
+            self.on_drag(dx * scale, dy * scale, move)
 
     @property
     def framebuffer(self) -> moderngl.Framebuffer:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import errno
 import importlib
+import io
 import logging
 import sys
 import traceback
@@ -172,6 +173,9 @@ def main(arguments: Sequence[str]) -> int:
     int
         0 done, 1 a fault of ours (with a traceback), 2 a bad input or argument (one line on stderr).
     """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a console that lacks an arrow shows a question mark instead
+            stream.reconfigure(errors="replace")
     try:
         return _run(list(arguments))
     except InputError as error:
