@@ -13,7 +13,6 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import moderngl
 import numpy as np
@@ -24,17 +23,12 @@ from demos.errors import DemoError
 from demos.headless import Canvas, create_context, write_png
 from demos.options import Options, Parser, add_arguments, parse, run
 from demos.orbit import Orbit
-from demos.sun_camera import sun_camera
+from demos.surroundings import DAY, Surroundings
 from demos.viewer import find_folder
-from demos.walk_scene import character_size, write_uniforms
-from runtime.gl_state import functions
-from runtime.programs import build_program
+from demos.walk_scene import character_size, various_tints
 from runtime.views import VIEWS
 
 SPACING = 0.85  # between neighbours, of a character's size
-SHADOW_PX = 2048
-SUN = (0.45, 0.75, 0.5)
-HORIZON = np.array([0.72, 0.76, 0.82])
 MAX_COUNT = 1_000_000
 
 
@@ -67,7 +61,7 @@ class CrowdScene:
         self.model = runtime.Model(ctx, runtime.load(folder))
         box = self.model.asset.manifest.bind_bounds
         self.unit_m, self.sole_m = character_size(box), float(box[0, 1])
-        self.renderer = runtime.Renderer(ctx, lighting=runtime.Lighting(sun_direction=SUN))
+        self.renderer = runtime.Renderer(ctx, lighting=runtime.Lighting(sun_direction=DAY.sun))
         self.crowd = runtime.Crowd(ctx, self.model, count)
         places, headings = square(count, self.unit_m)
         self.crowd.place_on_ground(places - [0.0, self.sole_m, 0.0], headings)
@@ -79,14 +73,10 @@ class CrowdScene:
                 self.crowd.play(chosen, phases_s=draw.uniform(0, 10, count), speeds=draw.uniform(0.85, 1.15, count))
         except ValueError as error:
             raise DemoError(str(error)) from None
-        self.crowd.tint(draw.uniform(0.6, 1.0, (count, 3)))
+        self.crowd.tint(various_tints(count))
         self.radius_m = 0.75 * SPACING * self.unit_m * np.sqrt(max(count, 1)) + self.unit_m
         self.front_m = float(places[:, 2].max(initial=0.0))
-        self.ground = build_program(ctx, ("ground.vert", "ground.frag"))
-        self.ground_array = ctx.vertex_array(self.ground, [])
-        self.shadow = ctx.depth_texture((SHADOW_PX, SHADOW_PX))
-        self.shadow.compare_func = ""
-        self.shadow_target = ctx.framebuffer(depth_attachment=self.shadow)
+        self.surroundings = Surroundings(ctx, DAY, self.unit_m)
 
     def camera(self, options: Options) -> runtime.Camera:
         """The camera that was asked for, or one over the heads of the front row."""
@@ -99,54 +89,22 @@ class CrowdScene:
         """One picture."""
         lit = VIEWS[view].is_lit and options.backdrop
         if lit:
-            sun = sun_camera(SUN, np.zeros(3), self.radius_m)
-            self.shadow_target.use()
-            self.shadow_target.clear(depth=1.0)
-            self.renderer.draw([self.crowd], sun, view="depth")
+            sharp_m = min(self.radius_m, 9 * self.unit_m)
+            forward = np.subtract(camera.target, camera.eye) * [1.0, 0.0, 1.0]
+            middle = np.array(camera.eye) * [1.0, 0.0, 1.0] + forward / max(np.linalg.norm(forward), 1e-9) * sharp_m
+            self.surroundings.draw_shadows(
+                self.renderer, [self.crowd], [(middle, sharp_m), (np.zeros(3), self.radius_m)]
+            )
         target.use()
-        red, green, blue = HORIZON if lit else np.zeros(3)
-        target.clear(red, green, blue, float(lit), depth=1.0)
+        target.clear(0.0, 0.0, 0.0, float(lit), depth=1.0)
         if lit:
-            self._draw_ground(camera, sun, target)
+            self.surroundings.draw(camera, target, 3 * self.radius_m + 100 * self.unit_m)
         self.renderer.draw([self.crowd], camera, view=view, lod=options.lod)
-
-    def _draw_ground(self, camera: runtime.Camera, sun: runtime.MatrixCamera, target: moderngl.Framebuffer) -> None:
-        """Paving with the crowd's shadows."""
-        matrices, from_sun = camera.matrices(*target.size), sun.matrices(SHADOW_PX, SHADOW_PX)
-        moved = np.eye(4)
-        moved[:3, 3] = matrices.eye - from_sun.eye
-        values: dict[str, Any] = {
-            "clip_from_world": matrices.clip_from_world,
-            "ground_centre": np.array([matrices.eye[0], 0.0, matrices.eye[2]]) - matrices.eye,
-            "ground_size": 3 * self.radius_m + 100 * self.unit_m,
-            "sun_from_world": from_sun.clip_from_world @ moved,
-            "eye": matrices.eye,
-            "unit_m": self.unit_m,
-            "sun_light": np.array([1.05, 0.98, 0.85]),
-            "sky_light": np.array([0.30, 0.33, 0.40]),
-            "lantern_light": np.zeros(3),
-            "lantern_position": np.zeros(3),
-            "horizon_color": HORIZON,
-            "sun_depth": 0,
-        }
-        write_uniforms(self.ground, values)
-        self.shadow.use(0)
-        self.ctx.enable_only(moderngl.DEPTH_TEST)
-        self.ground_array.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def release(self) -> None:
         """Free everything on the GPU. May be called more than once."""
-        functions().glUseProgram(0)  # OpenGL keeps a program that is in use, deleted or not
-        things = (
-            self.crowd,
-            self.renderer,
-            self.model,
-            self.ground_array,
-            self.ground,
-            self.shadow_target,
-            self.shadow,
-        )
-        for thing in things:
+        self.surroundings.release()
+        for thing in (self.crowd, self.renderer, self.model):
             thing.release()
 
 

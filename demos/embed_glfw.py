@@ -28,6 +28,7 @@ def open_window(size: tuple[int, int]) -> Any:
     glfw.window_hint(glfw.CONTEXT_VERSION_MINOR, 1)
     glfw.window_hint(glfw.OPENGL_PROFILE, glfw.OPENGL_CORE_PROFILE)
     glfw.window_hint(glfw.OPENGL_FORWARD_COMPAT, True)
+    glfw.window_hint(glfw.SAMPLES, 4)
     window = glfw.create_window(*size, "seamskin in GLFW", None, None)
     if not window:
         glfw.terminate()

@@ -22,6 +22,7 @@ class WalkWindow(moderngl_window.WindowConfig):  # type: ignore[misc]
 
     gl_version = (4, 1)
     title = "seamskin in moderngl-window"
+    samples = 4
     aspect_ratio = None  # type: ignore[assignment]  # follow the window
     options: EmbedOptions
 

@@ -27,6 +27,8 @@ def open_window(size: tuple[int, int]) -> None:
         pygame.GL_CONTEXT_PROFILE_MASK: pygame.GL_CONTEXT_PROFILE_CORE,
         pygame.GL_CONTEXT_FLAGS: pygame.GL_CONTEXT_FORWARD_COMPATIBLE_FLAG,
         pygame.GL_DEPTH_SIZE: 24,
+        pygame.GL_MULTISAMPLEBUFFERS: 1,
+        pygame.GL_MULTISAMPLESAMPLES: 4,
     }
     for attribute, value in attributes.items():
         pygame.display.gl_set_attribute(attribute, value)

@@ -9,23 +9,20 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
 import runtime
-from demos.sun_camera import sun_camera
-from runtime.gl_state import functions
+from demos.gait import pace
+from demos.surroundings import EVENING, Surroundings, write_uniforms
 from runtime.programs import build_program
 
-SHADOW_PX = 1024
-SUN = np.array([-0.55, 0.42, -0.72])
-HORIZON = (0.30, 0.27, 0.37)
-LANTERN_LIGHT = np.array([1.5, 0.85, 0.32])
 TURN_RAD_S = 2.4
 FADE_S = 0.25
+FIRST_RING, RING_WIDTH, WALKER_ROOM = 2.5, 0.9, 2.0  # of a character's size: the walkers' circles
+LEAST_PACE = 0.35  # of a character's size a second: slower walks are played faster
 
 
 @dataclass
@@ -84,47 +81,49 @@ class WalkScene:
         box = self.model.asset.manifest.bind_bounds
         self.unit_m = character_size(box)
         self.sole_m = float(box[0, 1])
-        names = [clip.name for clip in self.model.asset.clips]
-        self.walk = find_clip(names, "walk", "run", ".")
-        self.idle = find_clip(names, "idle", "survey", "stand", "breath")
-        lighting = runtime.Lighting(sun_direction=tuple(SUN), sun_color=(1.9, 1.25, 0.85), exposure=0.75)
+        self._choose_clips()
+        lighting = runtime.Lighting(sun_direction=EVENING.sun, sun_color=(1.9, 1.25, 0.85), exposure=0.75)
         self.renderer = runtime.Renderer(ctx, lighting=lighting)
-        self.hero = self.model.actor(clip=self.idle)
+        self.hero = self.model.actor(clip=self.idle, root_motion="turn")
         self.hero_place, self.heading = np.zeros(3), 0.0
         self.walking = False
         self.forward = self.turn = 0.0
         self.lantern = Lantern()
         self.hero.attach(self.lantern, find_hand(self.model.asset.skeleton.names))
         self._make_crowd(num_walkers)
-        self._make_surroundings()
+        self.surroundings = Surroundings(ctx, EVENING, self.unit_m)
+        self.glass = build_program(ctx, ("lantern.vert", "lantern.frag"))
+        self.glass_array = ctx.vertex_array(self.glass, [])
         self.update(0.0)
 
+    def _choose_clips(self) -> None:
+        """Clips to stand and to walk with, and the pace at which the feet of the latter do not slide."""
+        clips = self.model.asset.clips
+        names = [clip.name for clip in clips]
+        self.walk = find_clip(names, "walk", "run", ".")
+        self.idle = find_clip(names, "idle", "survey", "stand", "breath")
+        self.pace_m_s, self.walk_speed = 0.75 * self.unit_m, 1.0
+        if self.walk is not None:
+            found = pace(self.model.asset.skeleton, clips[names.index(self.walk)], self.unit_m)
+            if abs(found) > 0.02 * self.unit_m:
+                faster = max(1.0, min(LEAST_PACE * self.unit_m / abs(found), 2.0))
+                self.pace_m_s, self.walk_speed = abs(found) * faster, float(np.sign(found)) * faster
+
     def _make_crowd(self, num_walkers: int) -> None:
-        """People on circles around the square, each with a pace and a colour of their own."""
+        """People on circles around the square; those of a circle share a pace, so that nobody walks through another."""
         draw = np.random.default_rng(5)
         self.crowd = runtime.Crowd(self.ctx, self.model, num_walkers)
-        self.radii = self.unit_m * draw.uniform(2.5, 14, num_walkers)
-        self.angles = draw.uniform(0, 2 * np.pi, num_walkers)
-        self.paces = draw.uniform(0.8, 1.25, num_walkers) * draw.choice([-1, 1], num_walkers)
+        rings = FIRST_RING + RING_WIDTH * np.arange(num_walkers + 1)
+        room = np.maximum((2 * np.pi * rings / WALKER_ROOM).astype(int), 1)
+        ring = np.repeat(np.arange(len(room)), room)[:num_walkers]
+        self.radii = self.unit_m * rings[ring]
+        place = np.arange(num_walkers) - np.searchsorted(ring, ring)  # in its ring
+        self.angles = 2 * np.pi * (place + draw.uniform(-0.15, 0.15, num_walkers)) / room[ring] + ring
+        self.paces = (draw.uniform(0.8, 1.25, len(rings)) * np.where(np.arange(len(rings)) % 2, 1, -1))[ring]
         if self.walk is not None:
-            self.crowd.play(self.walk, phases_s=draw.uniform(0, 9, num_walkers), speeds=np.abs(self.paces))
-        self.crowd.tint(draw.uniform(0.65, 1.0, (num_walkers, 3)))
-
-    def _make_surroundings(self) -> None:
-        """Ground, lantern and shadow map."""
-        self.ground = build_program(self.ctx, ("ground.vert", "ground.frag"))
-        self.glass = build_program(self.ctx, ("lantern.vert", "lantern.frag"))
-        self.ground_array = self.ctx.vertex_array(self.ground, [])
-        self.glass_array = self.ctx.vertex_array(self.glass, [])
-        self.shadow = self.ctx.depth_texture((SHADOW_PX, SHADOW_PX))
-        self.shadow.compare_func = ""
-        self.shadow.repeat_x = self.shadow.repeat_y = False
-        self.shadow_target = self.ctx.framebuffer(depth_attachment=self.shadow)
-
-    @property
-    def pace_m_s(self) -> float:
-        """How fast somebody of this size walks, metres a second."""
-        return 0.75 * self.unit_m
+            speeds = np.abs(self.paces) * self.walk_speed
+            self.crowd.play(self.walk, phases_s=draw.uniform(0, 9, num_walkers), speeds=speeds)
+        self.crowd.tint(various_tints(num_walkers))
 
     def steer(self, forward: float, turn: float) -> None:
         """What the keys say: forward −1 to 1, turn −1 (right) to 1 (left)."""
@@ -132,19 +131,20 @@ class WalkScene:
 
     def update(self, dt_s: float) -> None:
         """Let time run on."""
-        if (self.forward != 0) != self.walking:
-            self.walking = self.forward != 0
+        if (self.forward != 0 or self.turn != 0) != self.walking:
+            self.walking = not self.walking
             clip = self.walk if self.walking else self.idle
-            if clip is None:
-                clip_at_rest = runtime.Clip("at rest", 0.0, ())
-                self.hero.play(clip_at_rest, fade_s=FADE_S)
-            else:
-                self.hero.play(clip, fade_s=FADE_S, speed=float(np.sign(self.forward)) if self.walking else 1.0)
+            self.hero.play(clip or runtime.Clip("at rest", 0.0, ()), fade_s=FADE_S)
+        if self.walking:  # turning on the spot takes small steps
+            self.hero.set_speed(self.walk_speed * (self.forward or 0.6))
         self.heading += self.turn * TURN_RAD_S * dt_s
         ahead = np.array([np.sin(self.heading), 0.0, np.cos(self.heading)])
-        self.hero_place += ahead * self.forward * self.pace_m_s * dt_s
+        self.hero_place = self.hero_place + ahead * self.forward * self.pace_m_s * dt_s
         self.hero.transform = turned(self.heading, self.hero_place - [0.0, self.sole_m, 0.0])
         self.hero.update(dt_s)
+        carried = self.hero.transform  # a clip may move its root: that counts as well
+        self.hero_place = carried[:3, 3] + [0.0, self.sole_m, 0.0]
+        self.heading = float(np.arctan2(carried[0, 2], carried[0, 0]))
 
         self.angles += self.paces * self.pace_m_s * dt_s / self.radii
         places = np.stack([np.sin(self.angles), np.zeros_like(self.angles), np.cos(self.angles)], axis=1)
@@ -164,57 +164,29 @@ class WalkScene:
     def draw(self, target: moderngl.Framebuffer) -> None:
         """One picture into a framebuffer of the caller's."""
         things: list[runtime.Actor | runtime.Crowd] = [self.hero, self.crowd]
-        sun = sun_camera(SUN, self.hero_place, 9 * self.unit_m)
-        self.shadow_target.use()
-        self.shadow_target.clear(depth=1.0)
-        self.renderer.draw(things, sun, view="depth", tessellation="off")
-
+        balls = [(self.hero_place, 4 * self.unit_m), (self.hero_place, 18 * self.unit_m)]
+        self.surroundings.draw_shadows(self.renderer, things, balls)
         target.use()
-        target.clear(*HORIZON, 1.0, depth=1.0)
-        camera = self.camera()
-        self._draw_surroundings(camera, sun, target)
-        self.renderer.draw(things, camera)
-
-    def _draw_surroundings(
-        self, camera: runtime.Camera, sun: runtime.MatrixCamera, target: moderngl.Framebuffer
-    ) -> None:
-        """Ground and lantern."""
-        matrices = camera.matrices(*target.size)
-        from_sun = sun.matrices(SHADOW_PX, SHADOW_PX)
-        moved = np.eye(4)
-        moved[:3, 3] = matrices.eye - from_sun.eye
-        held = self.lantern.transform[:3, 3] - matrices.eye
-        common: dict[str, Any] = {"clip_from_world": matrices.clip_from_world, "lantern_position": held}
-        write_uniforms(
-            self.ground,
-            {
-                **common,
-                "ground_centre": np.array([self.hero_place[0], 0.0, self.hero_place[2]]) - matrices.eye,
-                "ground_size": 150 * self.unit_m,
-                "sun_from_world": from_sun.clip_from_world @ moved,
-                "eye": matrices.eye,
-                "unit_m": self.unit_m,
-                "sun_light": np.array([0.62, 0.38, 0.25]),
-                "sky_light": np.array([0.13, 0.14, 0.22]),
-                "lantern_light": LANTERN_LIGHT,
-                "horizon_color": np.array(HORIZON),
-                "sun_depth": 0,
-            },
-        )
-        write_uniforms(self.glass, {**common, "lantern_size": 0.16 * self.unit_m})
-        self.shadow.use(0)
-        self.ctx.enable_only(moderngl.DEPTH_TEST)
-        self.ground_array.render(moderngl.TRIANGLE_STRIP, vertices=4)
+        target.clear(depth=1.0)
+        camera, held = self.camera(), self.lantern.transform[:3, 3]
+        values = self.surroundings.draw(camera, target, 150 * self.unit_m, held)
+        write_uniforms(self.glass, {**values, "lantern_size": 0.16 * self.unit_m})
         self.glass_array.render(moderngl.TRIANGLES, vertices=4 * 36)
+        self.renderer.draw(things, camera)
 
     def release(self) -> None:
         """Free everything on the GPU. May be called more than once."""
-        functions().glUseProgram(0)  # OpenGL keeps a program that is in use, deleted or not
-        for thing in (
-            *(self.crowd, self.renderer, self.model, self.ground_array, self.glass_array),
-            *(self.ground, self.glass, self.shadow_target, self.shadow),
-        ):
+        self.surroundings.release()
+        for thing in (self.crowd, self.renderer, self.model, self.glass_array, self.glass):
             thing.release()
+
+
+def various_tints(count: int, seed: int = 7) -> NDArray[np.float64]:
+    """Factors of the base colour, (A, 3): lighter and darker, warmer and cooler, as people differ."""
+    draw = np.random.default_rng(seed)
+    light = draw.uniform(0.45, 1.0, count)[:, None]
+    warm = draw.uniform(-0.08, 0.08, count)[:, None] * np.array([1.0, 0.1, -1.0])
+    return np.clip(light * (1.0 + warm), 0.0, 1.0)
 
 
 def turned(heading: float, place: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -224,15 +196,3 @@ def turned(heading: float, place: NDArray[np.float64]) -> NDArray[np.float64]:
     matrix[0, 2], matrix[2, 0] = np.sin(heading), -np.sin(heading)
     matrix[:3, 3] = place
     return matrix
-
-
-def write_uniforms(program: moderngl.Program, values: dict[str, Any]) -> None:
-    """Set the uniforms that a program has; matrices are given as mathematics writes them."""
-    for name, value in values.items():
-        if name not in program:
-            continue
-        if isinstance(value, np.ndarray):
-            data = value.T if value.ndim == 2 else value
-            program[name].write(np.ascontiguousarray(data, dtype=np.float32).tobytes())  # type: ignore[union-attr]
-        else:
-            program[name].value = value  # type: ignore[union-attr]

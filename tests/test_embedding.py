@@ -15,10 +15,13 @@ from typing import Any
 import moderngl
 import numpy as np
 import pytest
+from builders_animation import random_skeleton
 from builders_asset import build_ball
 
 import runtime
+from demos.gait import pace
 from demos.walk_scene import WalkScene, find_hand
+from runtime.clip import Clip, Track
 
 ROOT = Path(__file__).resolve().parent.parent
 TOOLKITS = ("glfw", "pygame", "moderngl_window")
@@ -102,6 +105,9 @@ def test_the_scene_walks_turns_and_holds_its_lantern(ctx: moderngl.Context, ball
     assert np.linalg.norm(scene.lantern.transform[:3, 3] - held[:3, 3]) > 0.5 * scene.pace_m_s
     scene.steer(0.0, 1.0)
     scene.update(0.25)
+    assert scene.heading == pytest.approx(0.6) and scene.walking  # small steps on the spot
+    scene.steer(0.0, 0.0)
+    scene.update(0.25)
     assert scene.heading == pytest.approx(0.6) and not scene.walking
     color, depth = ctx.renderbuffer((64, 48), 4), ctx.depth_renderbuffer((64, 48))
     framebuffer = ctx.framebuffer([color], depth)
@@ -110,6 +116,23 @@ def test_the_scene_walks_turns_and_holds_its_lantern(ctx: moderngl.Context, ball
     for thing in (framebuffer, color, depth, scene):
         thing.release()
     scene.release()
+
+
+def test_the_pace_of_a_clip_leaves_the_standing_foot_where_it_is() -> None:
+    skeleton = random_skeleton(5, 0)
+    left, right = skeleton.joint_nodes[1:]
+    skeleton.parents[:] = [-1, 0, 0, 0, 0]
+    skeleton.rotation[:], skeleton.scale[:], skeleton.translation[:] = [0, 0, 0, 1], 1, 0
+    skeleton.__dict__.pop("levels", None)
+    times = np.array([0.0, 0.5, 1.0])
+    tracks = []
+    for node, order in ((int(left), (0.4, -0.4, 0.4)), (int(right), (-0.4, 0.4, -0.4))):
+        heights = [0.0, 0.0, 0.2] if node == left else [0.2, 0.0, 0.0]  # the one that goes back is on the ground
+        places = np.stack([np.zeros(3), heights, order], axis=1)
+        tracks.append(Track(node, "translation", "LINEAR", times, places))
+    assert pace(skeleton, Clip("walk", 1.0, tuple(tracks)), 1.0) == pytest.approx(1.6)
+    assert pace(skeleton, Clip("stand", 1.0, ()), 1.0) == 0.0
+    assert pace(skeleton, Clip("still", 0.0, ()), 1.0) == 0.0
 
 
 @pytest.mark.parametrize(
