@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from demos.errors import DemoError
 from preprocess.atlas import Atlas, build_atlas
 from preprocess.bake import bake_positions, bake_weights, cover_atlas
+from preprocess.creases import bake_surface, find_normal_uvs
 from preprocess.errors import InputError
 from preprocess.gltf import Character, load_character
 from preprocess.gltf.tangents import corner_tangents
@@ -86,10 +87,12 @@ def without_erasure(asset: Asset, source: Path) -> Asset:
     baked["position"] = TextureData("position", (positions.astype(np.float32),))
     packed = pack_weights(bake_weights(mesh, asset.num_joints, asset.weight_size))
     baked["weights"] = TextureData("weights", (packed.stack,))
-    coverage = cover_atlas(mesh, *sizes["normal"])
+    uvs = find_normal_uvs(mesh, sizes["normal"])
+    normal_mesh = mesh if uvs is None else mesh.with_surface(bake_surface(mesh.surface, uvs))
+    coverage = cover_atlas(normal_mesh, *sizes["normal"])
     texcoord = next((m.normal.texcoord for m in character.materials if m.normal is not None), None)
     tangents = None if texcoord is None else corner_tangents(mesh, texcoord)
-    normals = bake_normals(character, mesh, tangents, coverage)
+    normals = bake_normals(character, normal_mesh, tangents, coverage)
     baked["normal"] = dataclasses.replace(_box_mips(0.5 * normals + 0.5, 65535, np.uint16), name="normal")
     side = sizes["base_color"][0]
     for texture in bake_materials(

@@ -46,6 +46,9 @@ log = logging.getLogger(__name__)
 NORMAL_SIZE_PX = 1024  # without a normal map
 PICTURE_PX = 768  # side of the pictures for the report
 STEPS = {"uint8": 255, "uint16": 65535}
+# Normals are made unit when shaded. Stored a little shorter they leave their solution room along the axes: held within
+# its range, it would jump.
+NORMAL_LENGTH = 0.8
 # Normals give way within a texel or two of a seam: what is smooth there is measured in degrees, and spread further it
 # would tilt whole strips. RMS of all points against the source, degrees: human 2.0 with the usual weight, 1.0 with this
 # one; mannequiny 1.2 and 0.7.
@@ -227,7 +230,7 @@ class TextureStage:
             moved = mesh.with_surface(bake_surface(mesh.surface, uvs))
             baked = bake_normals(self.character, moved, tangents, cover_atlas(moved, *size))
             erased_on = (erase_surface(mesh.surface, uvs), move_seams(seams, mesh.surface, uvs))
-        return self._decided(_Job("normal", 0.5 * baked + 0.5, "uint16", 0, decision, erased_on=erased_on))
+        return self._decided(_Job("normal", 0.5 * NORMAL_LENGTH * baked + 0.5, "uint16", 0, decision, erased_on=erased_on))
 
     def _normal_size(self) -> int:
         maps = [material.normal for material in self.character.materials]
