@@ -77,6 +77,8 @@ class Model:
 
         require_alive(ctx, "model")
         require_version(ctx)
+        if not isinstance(asset, Asset | Prepared):
+            raise RenderError(f"a model is made of what runtime.load gives, not of {asset!r:.80}")
         prepared = asset if isinstance(asset, Prepared) else prepare(asset, position_format)
         asset = prepared.asset
         self.ctx = ctx

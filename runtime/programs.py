@@ -9,6 +9,7 @@ number carries the file as well: file 2, line 38 is line 20038. One text serves 
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -213,17 +214,25 @@ def set_uniforms(program: moderngl.Program, values: Mapping[str, Any]) -> None:
     """Set those of the named uniforms that the program has, where they are not so already.
 
     The program must come from `build_program`, and these uniforms be set by nothing else.
+
+    Raises
+    ------
+    RenderError
+        If a uniform does not take its value.
     """
     uniforms, held = program.extra.uniforms, program.extra.held
     for name, value in values.items():
-        if name not in uniforms:
+        is_plain = isinstance(value, _PLAIN)
+        if name not in uniforms or (is_plain and name in held and held[name] == value):
             continue
-        if not isinstance(value, _PLAIN):
+        try:
             uniforms[name].value = value
-            held.pop(name, None)
-        elif name not in held or held[name] != value:
-            uniforms[name].value = value
+        except (struct.error, TypeError, ValueError) as error:
+            raise RenderError(f"the uniform {name!r} does not take {value!r:.80}: {error}") from None
+        if is_plain:
             held[name] = value
+        else:
+            held.pop(name, None)
 
 
 def _explain_failure(message: str, sources: Mapping[str, ShaderSource]) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Iterable, Mapping
+from numbers import Integral, Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -36,6 +37,11 @@ if TYPE_CHECKING:
     from runtime.crowd import Crowd
 
 SKINNING: dict[str, dict[str, str | int]] = {"linear": {}, "dual_quaternion": {"DUAL_QUATERNIONS": 1}}
+
+
+def is_whole(number: object) -> bool:
+    """Whether it is an integer, NumPy's too, and no truth value."""
+    return isinstance(number, Integral) and not isinstance(number, bool)
 
 
 class Renderer:
@@ -174,6 +180,9 @@ class Renderer:
             raise RenderError(f"no view {view!r}: one of {', '.join(self._views)}")
         factor = self._checked_tessellation(tessellation)
         things = tuple(actors)
+        for thing in things:
+            if not (hasattr(thing, "draw_in") or hasattr(thing, "joint_rows")):
+                raise RenderError(f"only actors and crowds can be drawn, not {thing!r:.80}")
         crowds = [cast(DrawsItself, thing) for thing in things if hasattr(thing, "draw_in")]
         batches = gather(thing for thing in things if not hasattr(thing, "draw_in"))
         for model, _ in batches:
@@ -186,7 +195,7 @@ class Renderer:
             matrices = camera.matrices(width, height)
             self._frame.write(matrices, (width, height), self._lighting, self.quality, factor)
             self._frame.bind()
-            chosen = None if isinstance(lod, str) else lod
+            chosen = None if isinstance(lod, str) else int(lod)
             wish = Wish((width, height), chosen, tessellation, self.has_tessellation, self.quality)
             groups: list[Group] = []
             self.last_drawn = {}
@@ -230,7 +239,7 @@ class Renderer:
             if tessellation not in ("auto", "off"):
                 raise RenderError(f"no tessellation {tessellation!r}: auto, off or a number from 1 to {MAX_FACTOR:g}")
             return 0.0
-        if not 1.0 <= tessellation <= MAX_FACTOR:
+        if not isinstance(tessellation, Real) or not 1.0 <= tessellation <= MAX_FACTOR:
             raise RenderError(f"tessellation {tessellation} is not between 1 and {MAX_FACTOR:g}")
         if not self.has_tessellation:
             raise RenderError("tessellation needs OpenGL 4.1, this context is older: draw with tessellation off")
@@ -240,7 +249,7 @@ class Renderer:
         model.require_usable()
         if model.ctx is not self.ctx:
             raise RenderError(f"the model {model.asset.name} belongs to another context than the renderer")
-        if lod != "auto" and not (isinstance(lod, int) and 0 <= lod < len(model.lods)):
+        if lod != "auto" and not (is_whole(lod) and 0 <= int(lod) < len(model.lods)):
             raise RenderError(f"{model.asset.name} has no level of detail {lod!r}: auto or 0 to {len(model.lods) - 1}")
 
     def release(self) -> None:
