@@ -90,7 +90,7 @@ class Crowd:
         except BaseException:
             self.release()
             raise
-        self._passes = CrowdPasses(ctx, self._levels, self._seam_lines)
+        self._passes = CrowdPasses(model, self._levels, self._seam_lines)
         self.errors_m = np.array([one.error_m for one in self._levels])
 
     # The actors

@@ -8,7 +8,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import moderngl
 import numpy as np
@@ -17,11 +17,15 @@ from numpy.typing import NDArray
 from runtime import gl_state
 from runtime.crowd_levels import CrowdLevel
 from runtime.crowd_stage import INSTANCE_WORDS, Selection
+from runtime.gpu_asset import Model
 from runtime.gpu_levels import NORMAL_ATTRIBUTES
 from runtime.gpu_textures import TEXTURE_UNITS
-from runtime.passes import set_material
+from runtime.passes import set_material, what_it_lacks
 from runtime.programs import build_program, set_uniforms
 from runtime.views import LINE_COLORS, LINES, CrowdFrame
+
+if TYPE_CHECKING:
+    from runtime.asset import MaterialData
 
 PLACE_UNIT = TEXTURE_UNITS["position_texture"]  # crowds do not read that one
 _INSTANCE_ATTRIBUTES = (
@@ -58,18 +62,18 @@ class CrowdPasses:
 
     Parameters
     ----------
-    ctx : moderngl.Context
+    model : Model
     levels : sequence of CrowdLevel
     seam_lines : function from a level to the index buffer of its seams, None where it has none
     """
 
     def __init__(
         self,
-        ctx: moderngl.Context,
+        model: Model,
         levels: Sequence[CrowdLevel],
         seam_lines: Callable[[int], moderngl.Buffer | None],
     ) -> None:
-        self.ctx, self.levels = ctx, levels
+        self.ctx, self._model, self.levels = model.ctx, model, levels
         self._seam_lines = seam_lines
         self._programs: dict[tuple[Any, ...], moderngl.Program] = {}
         self._vertex_arrays: dict[tuple[Any, ...], moderngl.VertexArray] = {}
@@ -126,12 +130,9 @@ class CrowdPasses:
         """Draw the ranges of a level: all of them, or those that are blended, or those that are not."""
         level = self.levels[part.level]
         ranges = [one for one in level.groups if blended is None or (one.material.alpha_mode == "BLEND") == blended]
-        if not ranges:
-            return
-        array, program = self._prepare(frame, part, constants, "triangles")
         for one in ranges:
+            array = self._prepare(frame, part, constants, "triangles", one.material)
             frame.gl.switch(gl_state.CULL_FACE, not (one.material.double_sided or frame.view.two_sided))
-            set_material(program, one.material, frame.view.blends)
             array.render(moderngl.TRIANGLES, vertices=3 * one.count, first=3 * one.first, instances=part.count)
 
     def _draw_lines(self, frame: CrowdFrame, part: _Part, constants: Mapping[str, Any], lines: str) -> None:
@@ -140,36 +141,41 @@ class CrowdPasses:
             self._draw_faces(frame, part, constants, None)
             frame.gl.glPolygonMode(gl_state.FRONT_AND_BACK, gl_state.FILL)
         elif self._seam_lines(part.level) is not None:
-            array, program = self._prepare(frame, part, constants, "seams")
-            set_material(program, self.levels[part.level].groups[0].material, False)
+            material = self.levels[part.level].groups[0].material
+            array = self._prepare(frame, part, constants, "seams", material)
             array.render(moderngl.LINES, instances=part.count)
 
     def _prepare(
-        self, frame: CrowdFrame, part: _Part, constants: Mapping[str, Any], kind: str
-    ) -> tuple[moderngl.VertexArray, moderngl.Program]:
-        """Vertex array and program of a part, all set but the material."""
+        self, frame: CrowdFrame, part: _Part, constants: Mapping[str, Any], kind: str, material: MaterialData
+    ) -> moderngl.VertexArray:
+        """The vertex array of a part, its program set for a material."""
         level = self.levels[part.level]
-        program = self._program(frame, level)
+        defines = self._defines(frame, level, material)
+        program = self._program(frame, defines)
         placing = {"crowd_level": part.level, "place_scale": level.place_scale, "place_offset": level.place_offset}
         for values in (constants, frame.view.uniforms, frame.uniforms, placing):
             set_uniforms(program, values)
+        set_material(program, material, frame.view.blends)
         if level.places is not None:
             level.places.use(PLACE_UNIT)
-        array = self._vertex_array(frame, program, part.level, kind)
+        array = self._vertex_array(frame, defines, program, part.level, kind)
         self._point_instances(frame.gl, array, program, part.first)
         frame.gl.glFrontFace(gl_state.CW if part.mirrored else gl_state.CCW)
-        return array, program
+        return array
 
-    def _program(self, frame: CrowdFrame, level: CrowdLevel) -> moderngl.Program:
-        key = (*_view_key(frame), level.places is not None, level.eight_joints, level.normal_uvs is not None)
+    def _defines(self, frame: CrowdFrame, level: CrowdLevel, material: MaterialData) -> tuple[str, ...]:
+        """Preprocessor definitions that a level and a material ask for."""
+        return (
+            *(("PLACED",) if level.places is not None else ()),
+            *(("EIGHT_JOINTS",) if level.eight_joints else ()),
+            *(("NORMAL_UV",) if level.normal_uvs is not None else ()),
+            *what_it_lacks(self._model, material),
+        )
+
+    def _program(self, frame: CrowdFrame, own: tuple[str, ...]) -> moderngl.Program:
+        key = (*_view_key(frame), own)
         if key not in self._programs:
-            defines: dict[str, str | int] = {**frame.defines, **frame.view.defines}
-            if level.places is not None:
-                defines["PLACED"] = 1
-            if level.eight_joints:
-                defines["EIGHT_JOINTS"] = 1
-            if level.normal_uvs is not None:
-                defines["NORMAL_UV"] = 1
+            defines: dict[str, str | int] = {**frame.defines, **frame.view.defines, **dict.fromkeys(own, 1)}
             stages = ["crowd.vert", *([frame.view.fragment] if frame.view.fragment else [])]
             program = build_program(self.ctx, stages, defines, frame.view.text, frame.view.folder)
             set_uniforms(program, {**TEXTURE_UNITS, "place_texture": PLACE_UNIT})
@@ -177,9 +183,9 @@ class CrowdPasses:
         return self._programs[key]
 
     def _vertex_array(
-        self, frame: CrowdFrame, program: moderngl.Program, number: int, kind: str
+        self, frame: CrowdFrame, own: tuple[str, ...], program: moderngl.Program, number: int, kind: str
     ) -> moderngl.VertexArray:
-        key = (*_view_key(frame), number, kind)
+        key = (*_view_key(frame), own, number, kind)
         if key not in self._vertex_arrays:
             level = self.levels[number]
             assert self._instances is not None
