@@ -181,7 +181,7 @@ class Renderer:
         factor = self._checked_tessellation(tessellation)
         things = tuple(actors)
         for thing in things:
-            if not (hasattr(thing, "draw_in") or hasattr(thing, "joint_rows")):
+            if not hasattr(thing, "visible"):
                 raise RenderError(f"only actors and crowds can be drawn, not {thing!r:.80}")
         crowds = [cast(DrawsItself, thing) for thing in things if hasattr(thing, "draw_in")]
         batches = gather(thing for thing in things if not hasattr(thing, "draw_in"))
