@@ -19,8 +19,13 @@ from demos.creature.noise import _hash, cells, fractal_noise, value_noise
 from demos.creature.raster import cover_texels
 from demos.creature.skeleton import build_joints
 from demos.creature.surface import corner_cotangents, face_normals, unique_edges
+from demos.gallery import PICTURES, make_pictures
+from preprocess.images import read_image
 from preprocess.mesh import TexturedSurface
+from preprocess.pipeline import build
+from preprocess.progress import Progress
 from preprocess.seams import find_seams
+from preprocess.settings import Settings
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -318,3 +323,17 @@ def test_command_makes_the_same_file_in_another_process(glb: Path, tmp_path: Pat
     command = [sys.executable, "-m", "demos.creature", "-o", str(path)]
     subprocess.run(command, cwd=ROOT, env=environment, check=True, capture_output=True)
     assert path.read_bytes() == glb.read_bytes()
+
+
+@pytest.mark.slow
+def test_the_demo_draws_every_picture(glb: Path, tmp_path: Path) -> None:
+    """Each picture of the page, from a build with small textures: none is blank, and none breaks."""
+    built = tmp_path / "creature.seamless"
+    small = Settings(color_size_px=256, geometry_size_px=128, weight_size_px=64, lod_ratios=(0.5, 0.2, 0.05))
+    build(glb, built, small, Progress(quiet=True))
+    make_pictures(glb, built, tmp_path)
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    for file, title, _ in PICTURES:
+        assert title in page
+        picture = read_image(tmp_path / file, native=True).texels
+        assert picture.shape[1] >= 1500 and picture.std() > 10.0, file
