@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import logging
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from preprocess.atlas import Atlas, build_atlas
 from preprocess.decimate import Chain, DecimateOptions, decimate
 from preprocess.folder import MANIFEST, whole_folder
 from preprocess.gltf import Character, load_character
+from preprocess.level_geometry import fit_levels
 from preprocess.mesh import Floats, Ints
 from preprocess.progress import Progress
 from preprocess.report import write_report
@@ -80,6 +82,8 @@ def build(model: Path, destination: Path, settings: Settings, progress: Progress
             stage.delta = ", ".join(f"{t.name} {t.size[0]}×{t.size[1]}" for t in textures)
         with progress.stage("levels") as stage:
             chain = _build_lods(character, atlas, textures, poses, settings)
+            textures, lods = fit_levels(atlas.mesh, textures, chain.lods, poses)
+            chain = dataclasses.replace(chain, lods=lods)
             normal_uvs = baking.level_normal_uvs(chain.lods)
             stage.delta = " → ".join(str(lod.num_faces) for lod in chain.lods)
         warnings = (

@@ -1,81 +1,86 @@
-"""Automatic texture sizes: the smallest that reach the accuracy asked for at the vertices of the full mesh."""
+"""Automatic texture sizes of geometry and weights.
+
+Positions are judged as they will be stored, after the erasure that also fits the vertices. A few vertices may miss,
+where more of them meet in a cell than it has texels: those are parked elsewhere (parking.py). Weights have quadtrees
+where their map is too coarse (weight_details.py), so any size is right; the one that takes the least memory has about
+a texel for every two vertices.
+"""
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 
 import numpy as np
 
-from preprocess.bake import bake_positions, bake_weights, vertex_values
-from preprocess.mesh import Floats, SkinnedMesh
-from preprocess.settings import GEOMETRY_MAX_REL, GEOMETRY_RMS_REL
+from preprocess.mesh import Floats, TexturedSurface
+from preprocess.settings import GEOMETRY_RMS_REL, PARK_REL
 from preprocess.texels import sample_bilinear
 
 log = logging.getLogger(__name__)
 
-GEOMETRY_SIZES_PX = (128, 192, 256, 384, 512, 768, 1024, 1536, 2048)
-WEIGHT_SIZES_PX = (64, 96, 128, 192, 256, 384, 512, 768)
-RMS_MARGIN, MAX_MARGIN = 0.5, 0.8  # of the accuracy goals: seam erasure and rounding add their own part
-HOPELESS = 4.0  # times the goal after one projection: more of them will not help
+GEOMETRY_SIZES_PX = (48, 64, 96, 128, 192, 256, 320, 384, 512, 768, 1024, 1536, 2048)
 TEXELS_A_VERTEX = 1.5  # fewer cannot hold a value of its own for every vertex
+RMS_SHARE = 0.6  # of the accuracy goal at the vertices that stay: weights and rounding add their own part
+PARKED_SHARE = 0.1  # of the vertices at most
+STRAY_RMS_REL = 3e-3  # of the surface between vertices, of the diagonal: what divided triangles show
+WEIGHT_SIZES_PX = (48, 64, 96, 128, 192, 256, 384, 512)
+WEIGHT_TEXELS_A_VERTEX = 0.5
 
 
-def bake_positions_auto(mesh: SkinnedMesh) -> Floats:
-    """Positions at the smallest size that holds the full mesh's vertices, (H, W, 3) float64, square."""
-    expected = vertex_values(mesh, mesh.surface.positions)
-    for side in _sides(GEOMETRY_SIZES_PX, mesh):
-        texels = bake_positions(mesh, (side, side))
-        error_m = np.linalg.norm(sample_bilinear(texels, mesh.surface.uvs) - expected, axis=1)
-        if _good(error_m, mesh.surface.diagonal_m):
-            break
-    log.info("position texture: %d² texels, error rms %.2g max %.2g m", side, _rms(error_m), error_m.max())
-    return texels
-
-
-def bake_weights_auto(mesh: SkinnedMesh, poses: Floats) -> Floats:
-    """Weights at the smallest size that poses the full mesh's vertices rightly, (H, W, J) float64, square.
+def smallest_positions(
+    surface: TexturedSurface, expected: Floats, bake: Callable[[int], tuple[Floats, Floats]]
+) -> tuple[Floats, Floats]:
+    """Positions at the smallest square size that is good enough.
 
     Parameters
     ----------
-    poses : (P, J, 4, 4) float64
-        Skinning matrices of a few poses of the clips: weights matter by how far they move a vertex.
+    surface : TexturedSurface
+    expected : (T, 3) float64
+        Positions at the texture vertices.
+    bake : callable
+        From a side in texels to texels before and after erasure.
+
+    Returns
+    -------
+    baked, erased : (H, W, 3) float64
     """
-    num_joints = poses.shape[1]
-    positions = np.c_[mesh.surface.positions, np.ones(mesh.num_vertices)]
-    dense = mesh.dense_weights(num_joints)
-    owner = np.zeros(mesh.num_vertices, np.int64)  # one texture vertex of every surface vertex
-    owner[mesh.surface.faces.ravel()] = mesh.surface.face_uvs.ravel()
-    moved = np.einsum("pjik,vk->vjpi", poses[:, :, :3], positions).reshape(mesh.num_vertices, num_joints, -1)
-
-    def measure(texels: Floats) -> Floats:
-        wrong = sample_bilinear(texels, mesh.surface.uvs[owner]) - dense
-        return np.linalg.norm(np.einsum("vj,vjc->vc", wrong, moved).reshape(mesh.num_vertices, -1, 3), axis=2)
-
-    sides = list(_sides(WEIGHT_SIZES_PX, mesh))
-    for side in sides:
-        first = bake_weights(mesh, num_joints, (side, side), projections=1)
-        if side != sides[-1] and _rms(measure(first)) > HOPELESS * GEOMETRY_RMS_REL * mesh.surface.diagonal_m:
-            continue
-        texels = bake_weights(mesh, num_joints, (side, side))
-        error_m = measure(texels)
-        if _good(error_m, mesh.surface.diagonal_m):
+    enough = [side for side in GEOMETRY_SIZES_PX if side * side >= TEXELS_A_VERTEX * len(surface.uvs)]
+    for side in enough or GEOMETRY_SIZES_PX[-1:]:
+        baked, erased = bake(side)
+        error_rel = np.linalg.norm(sample_bilinear(erased, surface.uvs) - expected, axis=1) / surface.diagonal_m
+        stays = error_rel <= PARK_REL
+        rms_rel, stray_rel = _rms(error_rel[stays]), stray_rms(erased, surface) / surface.diagonal_m
+        good = rms_rel <= RMS_SHARE * GEOMETRY_RMS_REL and stray_rel <= STRAY_RMS_REL
+        log.debug("positions %d²: rms %.2g, between %.2g, %d misses", side, rms_rel, stray_rel, (~stays).sum())
+        if good and (~stays).mean() <= PARKED_SHARE:
             break
-    log.info("weight texture: %d² texels, error rms %.2g max %.2g m", side, _rms(error_m), error_m.max())
-    return texels
+    log.info("position texture: %d², rms %.2g of the diagonal, %.2g between vertices", side, rms_rel, stray_rel)
+    return baked, erased
 
 
-def _sides(candidates: tuple[int, ...], mesh: SkinnedMesh) -> list[int]:
-    """Candidates with enough texels for the vertices; the largest in any case."""
-    enough = [side for side in candidates if side * side >= TEXELS_A_VERTEX * mesh.num_vertices]
-    return enough or [candidates[-1]]
+def stray_rms(texels: Floats, surface: TexturedSurface) -> float:
+    """How far the texture is from the flat faces between their corners, metres, rms over the area.
+
+    Parameters
+    ----------
+    texels : (H, W, 3) float64
+    surface : TexturedSurface
+    """
+    corners = surface.positions[surface.faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    shares = np.array([(2, 2, 2), (4, 1, 1), (1, 4, 1), (1, 1, 4)]) / 6.0  # middles of the four quarters
+    flat = np.einsum("sk,fkc->fsc", shares, corners)
+    uvs = np.einsum("sk,fkc->fsc", shares, surface.uvs[surface.face_uvs])
+    wrong_sq = ((sample_bilinear(texels, uvs.reshape(-1, 2)).reshape(flat.shape) - flat) ** 2).sum(axis=2).mean(axis=1)
+    return float(np.sqrt((wrong_sq * area).sum() / max(area.sum(), 1e-30)))
 
 
-def _rms(error_m: Floats) -> float:
-    return float(np.sqrt((error_m**2).mean()))
+def weight_side(num_vertices: int) -> int:
+    """Side of the weight map, texels."""
+    wanted = np.sqrt(WEIGHT_TEXELS_A_VERTEX * num_vertices)
+    return min(WEIGHT_SIZES_PX, key=lambda side: abs(np.log(side / max(wanted, 1.0))))
 
 
-def _good(error_m: Floats, diagonal_m: float) -> bool:
-    return bool(
-        _rms(error_m) <= RMS_MARGIN * GEOMETRY_RMS_REL * diagonal_m
-        and error_m.max() <= MAX_MARGIN * GEOMETRY_MAX_REL * diagonal_m
-    )
+def _rms(values: Floats) -> float:
+    return float(np.sqrt((values**2).mean())) if len(values) else 0.0

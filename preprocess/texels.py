@@ -75,3 +75,11 @@ def sample_bilinear(image: FloatArray, uvs: FloatArray) -> NDArray[np.float64]:
     texels, weights = bilinear_stencil(uvs, width, height)
     flat = np.asarray(image, np.float64).reshape(-1, channels)
     return np.einsum("nk,nkc->nc", weights, flat[texels])
+
+
+OWNER_STEPS = 65535  # owner uvs are stored as 16-bit numbers
+
+
+def snap_owner_uvs(uvs: FloatArray) -> NDArray[np.float64]:
+    """Where geometry is fetched for texture vertices: the nearest uv in [0, 1] that 16 bits can say, (N, 2)."""
+    return np.rint(np.clip(np.asarray(uvs, np.float64), 0.0, 1.0) * OWNER_STEPS) / OWNER_STEPS

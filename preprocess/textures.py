@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.atlas import Atlas
-from preprocess.bake import bake_positions, bake_weights, cover_atlas, settle_weights, vertex_values
+from preprocess.bake import cover_atlas
 from preprocess.crease_levels import find_level_normal_uvs
 from preprocess.creases import NormalUvs, bake_surface, erase_surface, find_normal_uvs, move_seams
 from preprocess.decimate import Lod
@@ -25,12 +25,10 @@ from preprocess.erase import (
     LOCAL,
     EraseOptions,
     Eraser,
-    SeamMeasure,
     erase_mips,
-    measure_seams,
-    plan_erasure,
 )
 from preprocess.erase.faults import Decision, choose_color_seams, choose_normal_seams, draw_decision
+from preprocess.geometry import store_positions, store_weights
 from preprocess.gltf import Character
 from preprocess.gltf.tangents import corner_tangents
 from preprocess.materials import BakedTexture, bake_materials, bake_normals
@@ -38,8 +36,7 @@ from preprocess.mesh import Floats, SkinnedMesh, TexturedSurface
 from preprocess.raster import Coverage
 from preprocess.seams import Seams, find_seams, pick_seams
 from preprocess.settings import Settings
-from preprocess.sizes import bake_positions_auto, bake_weights_auto
-from preprocess.weights import pack_weights, unpack_weights
+from preprocess.stored_texture import StoredTexture, jump
 
 log = logging.getLogger(__name__)
 
@@ -56,40 +53,6 @@ NORMAL_CHANGE = 100.0
 # Weights of the mean squared jump (see EraseOptions.seam_weight). Geometry is owned, so it need not be closed further
 # than its texels resolve; what is seen is closed to under half an 8-bit step.
 COLOR_SEAM_WEIGHT = 1e10
-# Positions and weights at the full mesh's vertices weigh as much as seams do: shared points are owned and cannot crack,
-# so a jump of a hundred-thousandth of the size beside a seam costs less than a vertex out of place.
-GEOMETRY_OPTIONS = EraseOptions(weights=dataclasses.replace(LOCAL, samples=1e8), seam_weight=1e8)
-# Joint weights run from 0 to 1 and are stored in 255 steps: held tighter, maps of few texels swing far out of that
-# range and lose more where they are cut off than they gain.
-WEIGHT_OPTIONS = EraseOptions(weights=dataclasses.replace(LOCAL, samples=1e6), seam_weight=1e6)
-
-
-@dataclass(frozen=True)
-class StoredTexture:
-    """A texture as the folder holds it.
-
-    Attributes
-    ----------
-    name : str
-        File stem.
-    levels : tuple of (H, W, C) float
-        Mip levels, finest first; integer formats hold multiples of their step in [0, 1].
-    format : str
-        "uint8", "uint16", "half" or "float".
-    size : (width, height)
-        Of the finest level (of the grid, where the file is a stack of several).
-    seam : dict
-        `before`, `after` (the solution) and `stored` (a list, one a level), each with `rms` and `max`.
-    extra : dict
-        More keys for the manifest.
-    """
-
-    name: str
-    levels: tuple[NDArray[Any], ...]
-    format: str
-    size: tuple[int, int]
-    seam: dict[str, Any]
-    extra: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -154,11 +117,6 @@ class TextureStage:
         weights = GLOBAL if self.settings.seams == "global" else LOCAL
         return EraseOptions(weights=weights, joined=joined, seam_weight=COLOR_SEAM_WEIGHT)
 
-    def _geometry_eraser(self, size: tuple[int, int], options: EraseOptions) -> Eraser:
-        """The erasure of positions or weights: all seams joined, values known at the vertices."""
-        surface = self.mesh.surface
-        return plan_erasure(surface, self.seams, *size, options, sample_uvs=surface.uvs)
-
     def normal(self) -> StoredTexture:
         """The normal texture alone."""
         return self._store(self._normal())
@@ -185,35 +143,13 @@ class TextureStage:
         return [find_level_normal_uvs(self.mesh.surface, self.normal_uvs, lod, size) for lod in lods]
 
     def position(self) -> StoredTexture:
-        """Object-space positions in 32-bit float; right at the vertices of the full mesh."""
-        side = self.settings.geometry_size_px
-        baked = bake_positions(self.mesh, (side, side)) if side else bake_positions_auto(self.mesh)
-        size = (baked.shape[1], baked.shape[0])
-        values = vertex_values(self.mesh, self.mesh.surface.positions)
-        erased = self._geometry_eraser(size, GEOMETRY_OPTIONS).erase(baked, sample_values=values).texels
-        stored = erased.astype(np.float32)
-        return StoredTexture("position", (stored,), "float", size, self._seam(baked, erased, stored))
+        """Object-space positions in 32-bit float."""
+        return store_positions(self.mesh, self.seams, self.settings.geometry_size_px)
 
     def weights(self) -> StoredTexture:
-        """Joint weights, 8 bits each (16 with more than 256 joints), a partition of unity as stored."""
+        """Joint weights, a partition of unity as stored."""
         num_joints = self.character.skeleton.num_joints
-        side = self.settings.weight_size_px
-        if side:
-            baked = bake_weights(self.mesh, num_joints, (side, side))
-        else:
-            baked = bake_weights_auto(self.mesh, self.poses)
-        size = (baked.shape[1], baked.shape[0])
-        used = np.flatnonzero(baked.max(axis=(0, 1)) > 0)
-        values = vertex_values(self.mesh, self.mesh.dense_weights(num_joints)[:, used])
-        erased = np.zeros_like(baked)
-        eraser = self._geometry_eraser(size, WEIGHT_OPTIONS)
-        erased[..., used] = eraser.erase(baked[..., used], sample_values=values).texels
-        erased[..., used] = settle_weights(erased[..., used], baked[..., used], self.mesh.surface.uvs, values)
-        packed = pack_weights(erased)
-        stored = unpack_weights(packed.stack, size, num_joints)
-        seam = self._seam(baked, erased, stored)
-        extra = {"layout": "texel-joints", "slots": packed.slots}
-        return StoredTexture("weights", (packed.texels01,), packed.format, size, seam, extra)
+        return store_weights(self.mesh, self.seams, num_joints, self.settings.weight_size_px)
 
     def _normal(self) -> _Job:
         """Object-space normals with the source's normal maps in them, 16 bits; hard edges stay."""
@@ -230,7 +166,8 @@ class TextureStage:
             moved = mesh.with_surface(bake_surface(mesh.surface, uvs))
             baked = bake_normals(self.character, moved, tangents, cover_atlas(moved, *size))
             erased_on = (erase_surface(mesh.surface, uvs), move_seams(seams, mesh.surface, uvs))
-        return self._decided(_Job("normal", 0.5 * NORMAL_LENGTH * baked + 0.5, "uint16", 0, decision, erased_on=erased_on))
+        scaled = 0.5 * NORMAL_LENGTH * baked + 0.5
+        return self._decided(_Job("normal", scaled, "uint16", 0, decision, erased_on=erased_on))
 
     def _normal_size(self) -> int:
         maps = [material.normal for material in self.character.materials]
@@ -294,22 +231,12 @@ class TextureStage:
             plans=self._plans.setdefault(job.key, {}),
         )
         seam: dict[str, Any] = {
-            "before": _jump(levels[0].before),
-            "after": _jump(levels[0].after),
-            "stored": [_jump(level.stored) for level in levels],
+            "before": jump(levels[0].before),
+            "after": jump(levels[0].after),
+            "stored": [jump(level.stored) for level in levels],
         }
         if left:
             seam["left"] = left
         texels = tuple(level.texels / float(steps) for level in levels)
         height, width = job.baked.shape[:2]
         return StoredTexture(job.name, texels, job.format, (width, height), seam, job.extra)
-
-    def _seam(self, baked: Floats, erased: Floats, stored: NDArray[Any]) -> dict[str, Any]:
-        """Jump across all seams before, after and as stored."""
-        before, after, kept = (_jump(measure_seams(t, self.mesh.surface, self.seams)) for t in (baked, erased, stored))
-        return {"before": before, "after": after, "stored": [kept]}
-
-
-def _jump(measure: SeamMeasure) -> dict[str, float]:
-    """Root mean square over the seams' length of the jump's norm, and the largest jump of any channel."""
-    return {"rms": float(np.sqrt(measure.total.sum())), "max": float(measure.max.max(initial=0.0))}

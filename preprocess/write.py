@@ -21,8 +21,10 @@ from preprocess.settings import Settings
 from preprocess.textures import StoredTexture
 from runtime.asset import SCHEMA
 from runtime.bounds import clip_bounds, joint_boxes
+from runtime.weight_details import WeightDetails, pack_details
 
 MODEL = "model.glb"
+DETAILS = "weight_details.png"
 BOUNDS_MARGIN_REL = 0.005  # of the diagonal: points between vertices follow the position texture, not the faces
 
 
@@ -133,6 +135,9 @@ def _write_texture(folder: Path, texture: StoredTexture) -> dict[str, Any]:
         (folder / "mips").mkdir(exist_ok=True)
     for name, texels in zip([file, *mip_files], texture.levels):
         write_image(folder / name, Image(texels, texture.format))
+    extra = dict(texture.extra)
+    if texture.details is not None:
+        extra["details"] = _write_details(folder, texture.details, texture.format)
     return {
         "file": file,
         "size": list(texture.size),
@@ -140,8 +145,14 @@ def _write_texture(folder: Path, texture: StoredTexture) -> dict[str, Any]:
         "mips": len(texture.levels),
         "mip_files": mip_files,
         "seam": texture.seam,
-        **texture.extra,
+        **extra,
     }
+
+
+def _write_details(folder: Path, details: WeightDetails, form: str) -> dict[str, Any]:
+    image = pack_details(details, form == "uint16")
+    write_image(folder / DETAILS, Image(image / float(np.iinfo(image.dtype).max), form))
+    return {"file": DETAILS, "leaves": len(details.depths), "slots": int(details.joints.shape[-1])}
 
 
 def _bounds(character: Character, atlas: Atlas) -> dict[str, Any]:

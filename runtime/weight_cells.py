@@ -187,15 +187,12 @@ def build_weight_cells(
     records = np.zeros((height * RECORDS_WIDTH, 4), np.uint32)
     records[:total] = palettes.packed.reshape(total, 16).view("<u4")
     records[total : total + len(tree.children)] = record_of_node[tree.children]
-    wide_joints = None
-    if num_joints > NARROW_JOINTS:
-        wide_joints = np.zeros((height * RECORDS_WIDTH, 4), np.uint16)
-        wide_joints[:total] = palettes.joints
-        wide_joints = wide_joints.reshape(height, RECORDS_WIDTH, 4)
+    joints = np.zeros((height * RECORDS_WIDTH, 4), np.uint16)
+    joints[:total] = palettes.joints
     return WeightCells(
         first_record=first.reshape(rows, columns).astype(np.uint16 if first.max(initial=0) <= 0xFFFF else np.uint32),
         first_divided=total,
         records=records.reshape(height, RECORDS_WIDTH, 4),
-        joints=wide_joints,
+        joints=joints.reshape(height, RECORDS_WIDTH, 4) if num_joints > NARROW_JOINTS else None,
         max_records=int(np.diff(palettes.starts).max()),
     )

@@ -17,6 +17,7 @@ from builders_gltf import bent_bar
 from conftest import ROOT, asset
 
 from preprocess import cli
+from runtime.asset import SCHEMA
 from runtime.gltf import read_document
 
 
@@ -126,7 +127,7 @@ def test_a_built_character_measures_as_it_claims(name: str, built: Callable[[str
     done = preprocess("check", folder)
     assert done.returncode == 0, done.stdout + done.stderr
     manifest = json.loads((folder / "manifest.json").read_text())
-    assert manifest["schema"] == 1
+    assert manifest["schema"] == SCHEMA
     assert manifest["atlas"]["overlap"] == 0
     full = manifest["lods"][0]["faces"]
     floor = manifest["atlas"]["exact_floor_faces"]  # None where the chain ends above it because the error is too large

@@ -8,7 +8,22 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-CROSSING = {f"runtime.{room}" for room in ("asset", "gltf", "skeleton", "clip", "keys", "pose", "bounds", "png", "errors")}
+CROSSING = {
+    f"runtime.{room}"
+    for room in (
+        "asset",
+        "gltf",
+        "skeleton",
+        "clip",
+        "keys",
+        "pose",
+        "bounds",
+        "png",
+        "errors",
+        "touched_cells",
+        "weight_details",
+    )
+}
 
 
 def imported_modules(path: Path) -> set[str]:

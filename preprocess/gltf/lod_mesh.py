@@ -107,6 +107,7 @@ def build_lod_mesh(
     face_source: NDArray[np.integer],
     num_influences: int,
     normal_uvs: Floats | None = None,
+    fetch_uvs: Floats | None = None,
 ) -> LodMesh:
     """Turn a level into vertex attributes.
 
@@ -125,6 +126,8 @@ def build_lod_mesh(
         4 or 8.
     normal_uvs : (F, 3, 2) float64, optional
         Where the level's corners sample the normal texture, if not at its uvs.
+    fetch_uvs : (V, 2) float64, optional
+        Where each surface vertex fetches its geometry, if not at its owner's uv.
     """
     places, corner_points, point_corners = locate_corners(mesh.surface, level, face_source)
     normals = _corner_normals(mesh, level, places, corner_points)
@@ -147,11 +150,12 @@ def build_lod_mesh(
         columns += list(stored.T)
     index, corners = group_rows(*columns)
     surface_vertex = vertices[corners]
+    geometry_uvs = level.uvs[owner_uvs] if fetch_uvs is None else fetch_uvs
     return LodMesh(
         positions=level.positions[surface_vertex].astype(np.float32),
         normals=flat[corners].astype(np.float32),
         uvs=level.uvs[texture_vertices[corners]].astype(np.float32),
-        owner_uvs=level.uvs[owner_uvs[surface_vertex]].astype(np.float32),
+        owner_uvs=geometry_uvs[surface_vertex].astype(np.float32),
         normal_uvs=None if stored is None else stored[corners],
         joints=joints[surface_vertex].astype(np.uint8 if num_joints <= 256 else np.uint16),
         weights=weights[surface_vertex].astype(np.float32),

@@ -19,6 +19,7 @@ from preprocess.gltf.character import Character
 from preprocess.gltf.lod_mesh import LodMesh, build_lod_mesh
 from preprocess.gltf.model_materials import describe_textures, plan_draws
 from preprocess.mesh import Floats, SkinnedMesh
+from preprocess.texels import OWNER_STEPS
 from runtime.clip import Clip
 from runtime.skeleton import Skeleton
 
@@ -172,13 +173,21 @@ def _describe_clip(clip: Clip, buffer: _Buffer) -> dict[str, Any] | None:
     return {"name": clip.name, "samplers": samplers, "channels": channels} if channels else None
 
 
+def _owner_accessor(owner_uvs: NDArray[np.float32], buffer: _Buffer) -> int:
+    """Owner uvs as 16-bit numbers where these say them exactly."""
+    steps = np.rint(np.clip(owner_uvs.astype(np.float64), 0.0, 1.0) * OWNER_STEPS).astype(np.uint16)
+    if np.array_equal((steps / OWNER_STEPS).astype(np.float32), owner_uvs):
+        return buffer.accessor(steps, ARRAY_BUFFER, normalized=True)
+    return buffer.accessor(owner_uvs, ARRAY_BUFFER)
+
+
 def _describe_mesh(name: str, level: LodMesh, face_draws: NDArray[np.int64], buffer: _Buffer) -> dict[str, Any]:
     """A mesh of one primitive a draw range; they share the vertices."""
     attributes = {
         "POSITION": buffer.accessor(level.positions, ARRAY_BUFFER, bounds=True),
         "NORMAL": buffer.accessor(level.normals, ARRAY_BUFFER),
         "TEXCOORD_0": buffer.accessor(level.uvs, ARRAY_BUFFER),
-        "_OWNER_UV": buffer.accessor(level.owner_uvs, ARRAY_BUFFER),
+        "_OWNER_UV": _owner_accessor(level.owner_uvs, buffer),
     }
     if level.normal_uvs is not None:
         attributes["_NORMAL_UV"] = buffer.accessor(level.normal_uvs, ARRAY_BUFFER, normalized=True)
@@ -237,7 +246,7 @@ def describe_model(
     first = len(nodes)
     for name, lod, own_uvs in zip(names, lods, normal_uvs or [None] * len(lods)):
         level = build_lod_mesh(
-            mesh, skeleton.num_joints, lod.surface, lod.owner_uvs, lod.face_source, influences, own_uvs
+            mesh, skeleton.num_joints, lod.surface, lod.owner_uvs, lod.face_source, influences, own_uvs, lod.fetch_uvs
         )
         face_draws = draw_of_material[mesh.face_materials[lod.face_source]]
         nodes.append({"name": name, "mesh": len(meshes), "skin": 0})

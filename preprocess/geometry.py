@@ -1,0 +1,80 @@
+"""Positions and joint weights as textures: baked, fitted to the vertices, seams erased (paper, sections 4 and 8)."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from preprocess.bake import bake_positions, bake_weights, settle_weights, vertex_values
+from preprocess.erase import LOCAL, EraseOptions, plan_erasure
+from preprocess.mesh import Floats, SkinnedMesh
+from preprocess.seams import Seams
+from preprocess.sizes import smallest_positions, weight_side
+from preprocess.stored_texture import StoredTexture, seam_report
+from preprocess.texels import snap_owner_uvs
+from preprocess.weights import pack_weights, unpack_weights
+
+# Positions at the full mesh's vertices weigh most; then seams and the surface between vertices alike. Shared points are
+# owned and cannot crack, so a small jump beside a seam is no worse than a small bump, and closing it all costs a bump
+# six times as large.
+GEOMETRY_OPTIONS = EraseOptions(weights=dataclasses.replace(LOCAL, samples=1e8, change=1e7), seam_weight=1e7)
+# Joint weights run from 0 to 1 and are stored in 255 steps: held tighter, maps of few texels swing far out of that
+# range and lose more where they are cut off than they gain.
+WEIGHT_OPTIONS = EraseOptions(weights=dataclasses.replace(LOCAL, samples=1e6), seam_weight=1e6)
+
+
+def store_positions(mesh: SkinnedMesh, seams: Seams, side: int | None) -> StoredTexture:
+    """Object-space positions in 32-bit float, fitted to the vertices of the full mesh.
+
+    Parameters
+    ----------
+    mesh : SkinnedMesh
+        With the atlas as its uvs.
+    seams : Seams
+        Its seams.
+    side : int or None
+        Texels; None for as few as are good enough.
+    """
+    surface = mesh.surface
+    expected = vertex_values(mesh, surface.positions)
+    owner_uvs = snap_owner_uvs(surface.uvs)
+
+    def bake(side: int) -> tuple[Floats, Floats]:
+        baked = bake_positions(mesh, (side, side))
+        eraser = plan_erasure(surface, seams, side, side, GEOMETRY_OPTIONS, sample_uvs=owner_uvs)
+        return baked, eraser.erase(baked, sample_values=expected).texels
+
+    baked, erased = bake(side) if side else smallest_positions(surface, expected, bake)
+    stored = erased.astype(np.float32)
+    size = (baked.shape[1], baked.shape[0])
+    return StoredTexture("position", (stored,), "float", size, seam_report(surface, seams, baked, erased, stored))
+
+
+def store_weights(mesh: SkinnedMesh, seams: Seams, num_joints: int, side: int | None) -> StoredTexture:
+    """Joint weights, 8 bits each (16 with more than 256 joints), a partition of unity as stored.
+
+    Parameters
+    ----------
+    mesh : SkinnedMesh
+        With the atlas as its uvs.
+    seams : Seams
+        Its seams.
+    num_joints : int
+    side : int or None
+        Texels; None for what takes the least memory with its details.
+    """
+    surface = mesh.surface
+    side = side or weight_side(mesh.num_vertices)
+    baked = bake_weights(mesh, num_joints, (side, side))
+    used = np.flatnonzero(baked.max(axis=(0, 1)) > 0)
+    values = vertex_values(mesh, mesh.dense_weights(num_joints)[:, used])
+    eraser = plan_erasure(surface, seams, side, side, WEIGHT_OPTIONS, sample_uvs=surface.uvs)
+    erased = np.zeros_like(baked)
+    erased[..., used] = eraser.erase(baked[..., used], sample_values=values).texels
+    erased[..., used] = settle_weights(erased[..., used], baked[..., used], surface.uvs, values)
+    packed = pack_weights(erased)
+    stored = unpack_weights(packed.stack, (side, side), num_joints)
+    seam = seam_report(surface, seams, baked, erased, stored)
+    extra = {"layout": "texel-joints", "slots": packed.slots}
+    return StoredTexture("weights", (packed.texels01,), packed.format, (side, side), seam, extra)

@@ -1,0 +1,143 @@
+"""Stage "levels": where each level's vertices fetch their geometry, and weights that are right at all of them.
+
+Textures come first, because levels are costed where they will be drawn; this stage then looks at the vertices that the
+levels really have: positions that a small texture misses are parked, and the weight map gets its details.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from preprocess.decimate import Lod
+from preprocess.gltf.locate import locate_corners
+from preprocess.mesh import Floats, SkinnedMesh
+from preprocess.parking import park_vertices
+from preprocess.raster import rasterise
+from preprocess.stored_texture import StoredTexture
+from preprocess.texels import px_to_uv
+from preprocess.weight_details import WeightPoints, detail_weights, pose_moves
+from preprocess.weights import unpack_weights
+
+log = logging.getLogger(__name__)
+
+SAMPLES_PX = 256  # the surface between vertices is looked at in a grid at least so fine
+VERTEX_REL = 5e-4  # error allowed at the full mesh's vertices, of the diagonal: a quarter of the goal
+LEVEL_SHARE = 0.25  # at those of coarser levels, of the level's error
+INSIDE_RELS = (1.5e-3, 3e-3, 6e-3, 1.2e-2, np.inf)  # errors allowed there, of the diagonal: the first that fits
+LEAF_BYTES, BYTES_A_VERTEX = 20, 20  # details take no more than this for every vertex of every level
+
+
+@dataclasses.dataclass(frozen=True)
+class _OnFullMesh:
+    """Where N points lie on the full mesh: corners (N, 3) of its faces, barycentric coordinates (N, 3)."""
+
+    corners: NDArray[np.int64]
+    barycentrics: Floats
+
+    def blend(self, values: Floats) -> Floats:
+        """Values of the full mesh's vertices, (V, C), at the points, (N, C)."""
+        blended = self.barycentrics[:, :1] * values[self.corners[:, 0]]
+        for k in (1, 2):
+            blended += self.barycentrics[:, k : k + 1] * values[self.corners[:, k]]
+        return blended
+
+
+def _locate_owners(mesh: SkinnedMesh, lod: Lod) -> _OnFullMesh:
+    """Where the owners of a level's vertices lie on the full mesh."""
+    places, _, corners = locate_corners(mesh.surface, lod.surface, lod.face_source)
+    vertex = lod.faces.reshape(-1)[corners]
+    owns = lod.face_uvs.reshape(-1)[corners] == lod.owner_uvs[vertex]
+    order = np.lexsort((np.arange(len(owns)), ~owns, vertex))
+    point = np.zeros(len(lod.positions), np.int64)
+    point[vertex[order[::-1]]] = order[::-1]
+    rows = places.firsts[point]
+    return _OnFullMesh(mesh.surface.faces[places.faces[rows]].astype(np.int64), places.barycentrics[rows])
+
+
+def _points_inside(mesh: SkinnedMesh, side: int) -> tuple[Floats, _OnFullMesh]:
+    """A grid of points in the charts, `SAMPLES_PX` a side or finer, even in every cell: uvs (N, 2) and places."""
+    grid = side * -(-SAMPLES_PX // side)
+    coverage = rasterise(mesh.surface.uvs, mesh.surface.face_uvs, grid, grid, 0.0)
+    row, column = np.nonzero(coverage.faces >= 0)
+    uvs = px_to_uv(np.stack([column, row], axis=1), grid, grid)
+    corners = mesh.surface.faces[coverage.faces[row, column]].astype(np.int64)
+    return uvs, _OnFullMesh(corners, coverage.barycentrics[row, column].astype(np.float64))
+
+
+def _detail(
+    weights: StoredTexture, mesh: SkinnedMesh, lods: Sequence[Lod], owners: Sequence[_OnFullMesh], poses: Floats
+) -> StoredTexture:
+    """The weight map with details where it is wrong for these levels."""
+    num_joints, surface = poses.shape[1], mesh.surface
+    stored = unpack_weights(_as_integers(weights), weights.size, num_joints)
+    inside_uvs, inside = _points_inside(mesh, weights.size[0])
+    texture_vertices = np.zeros(len(surface.uvs), np.int64)
+    texture_vertices[surface.face_uvs.ravel()] = surface.faces.ravel()
+    copies = _OnFullMesh(texture_vertices[:, None].repeat(3, axis=1), np.tile((1.0, 0.0, 0.0), (len(surface.uvs), 1)))
+    uvs = [*(lod.fetch_uvs for lod in lods if lod.fetch_uvs is not None), surface.uvs, inside_uvs]
+    on_mesh = [*owners, copies, inside]
+    dense = mesh.dense_weights(num_joints)
+    errors_rel = [lod.error_m / surface.diagonal_m for lod in lods[1:]]
+    allowed = [VERTEX_REL, *(max(VERTEX_REL, LEVEL_SHARE * error_rel) for error_rel in errors_rel), VERTEX_REL, np.nan]
+    points = WeightPoints(
+        np.concatenate(uvs),
+        np.concatenate([part.blend(dense) for part in on_mesh]),
+        np.concatenate([part.blend(surface.positions) for part in on_mesh]),
+        np.arange(sum(map(len, uvs))) < sum(map(len, uvs)) - len(inside_uvs),
+        np.repeat(allowed, [len(part) for part in uvs]),
+    )
+    moves = pose_moves(poses, surface.diagonal_m)
+    budget = BYTES_A_VERTEX * sum(len(lod.positions) for lod in lods)
+    for inside_rel in INSIDE_RELS:
+        allowed_rel = np.where(points.is_vertex, points.allowed_rel, inside_rel)
+        details = detail_weights(stored, dataclasses.replace(points, allowed_rel=allowed_rel), moves)
+        if LEAF_BYTES * len(details.depths) <= budget:
+            break
+    log.info("weights: %d leaves over a map of %d x %d, inside to %.2g", len(details.depths), *weights.size, inside_rel)
+    return dataclasses.replace(weights, details=details if len(details.depths) else None)
+
+
+def _as_integers(texture: StoredTexture) -> NDArray[Any]:
+    """The stored numbers of an integer texture."""
+    kind = np.uint8 if texture.format == "uint8" else np.uint16
+    return np.rint(texture.levels[0] * np.iinfo(kind).max).astype(kind)
+
+
+def fit_levels(
+    mesh: SkinnedMesh, textures: Sequence[StoredTexture], lods: Sequence[Lod], poses: Floats
+) -> tuple[list[StoredTexture], tuple[Lod, ...]]:
+    """Make geometry right at the vertices of all levels.
+
+    Parameters
+    ----------
+    mesh : SkinnedMesh
+        The full mesh with the atlas as its uvs.
+    textures : sequence of StoredTexture
+        "position" and "weights" among them.
+    lods : sequence of Lod
+        The finest first: the full mesh.
+    poses : (P, J, 4, 4) float64
+        Skinning matrices.
+
+    Returns
+    -------
+    textures : list of StoredTexture
+    lods : tuple of Lod
+        With `fetch_uvs`.
+    """
+    by_name = {texture.name: texture for texture in textures}
+    owners = [_locate_owners(mesh, lod) for lod in lods]
+    position = by_name["position"]
+    full = owners[0].blend(mesh.surface.positions)
+    margin_uv = 1.0 / min(by_name["weights"].size)  # a cell: quarters at the edge have nothing beyond it
+    texels = position.levels[0].astype(np.float32)
+    texels, fitted = park_vertices(texels, lods, full, mesh.surface.diagonal_m, margin_uv)
+    by_name["position"] = dataclasses.replace(position, levels=(texels,))
+    by_name["weights"] = _detail(by_name["weights"], mesh, fitted, owners, poses)
+    return list(by_name.values()), fitted
