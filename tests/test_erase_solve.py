@@ -332,7 +332,7 @@ def test_gain_equals_the_objective():
     peaks = np.where(points[texels] < len(strip.weights), np.float32(PEAK), np.float32(0))
     reach = np.full(40, REACH, np.float32)
     steps, gains = _best_steps(
-        jump[points[texels]], shares[texels], weights, peaks, off, -reach, reach, range(-2, 3)
+        jump[points[texels]], shares[texels], weights, peaks, off, -reach, reach, 2
     )  # fmt: skip
     assert np.count_nonzero(steps) > 5
     for texel, step, gain in zip(texels, steps, gains, strict=True):
