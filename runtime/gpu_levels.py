@@ -1,7 +1,7 @@
 """Levels of detail on the GPU: vertices, indices of triangles, patches and seams, and what each program reads of them.
 
-A vertex is two uvs: its own, for the material, and its owner's, for the geometry. What an actor adds comes as one
-record an instance.
+A vertex is two uvs: its own, for the material, and its owner's, for the geometry; where a level has hard edges, a third
+lies in a buffer of its own, for the normal. What an actor adds comes as one record an instance.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from runtime.patches import build_patches, seam_edges
 
 INSTANCE = np.dtype([("rows", "<f4", (3, 4)), ("tint", "<f4", 4), ("numbers", "<i4", 2)])
 VERTEX_ATTRIBUTES = (("2f4", "in_uv"), ("2f4", "in_owner_uv"))
+NORMAL_ATTRIBUTES = (("2u2", "in_normal_uv"),)
+NORMAL_UV_STEPS = 65535  # in_normal_uv counts them; moderngl knows no normalised attributes of 16 bits
 INSTANCE_ATTRIBUTES = (
     ("4f4", "in_world_row0"),
     ("4f4", "in_world_row1"),
@@ -51,6 +53,8 @@ class GpuLod:
         Of triangles, three each.
     index_size : int
         Bytes an index, 2 or 4.
+    normal_uvs : Buffer or None
+        `normal_bytes`, where the level has normal uvs.
     """
 
     mesh: LodMesh
@@ -58,6 +62,18 @@ class GpuLod:
     vertices: moderngl.Buffer
     indices: moderngl.Buffer
     index_size: int
+    normal_uvs: moderngl.Buffer | None = None
+
+    @property
+    def shader_defines(self) -> dict[str, int]:
+        """Preprocessor definitions that programs for this level need, beside the model's."""
+        return {} if self.normal_uvs is None else {"NORMAL_UV": 1}
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all buffers."""
+        buffers = (self.vertices, self.indices, self.normal_uvs)
+        return sum(int(buffer.size) for buffer in buffers if buffer is not None)
 
 
 def draw_groups(mesh: LodMesh, materials: tuple[MaterialData, ...]) -> tuple[DrawGroup, ...]:
@@ -76,6 +92,11 @@ def draw_groups(mesh: LodMesh, materials: tuple[MaterialData, ...]) -> tuple[Dra
 def vertex_bytes(mesh: LodMesh) -> bytes:
     """A level's vertices: uv and owner uv, four float32 each."""
     return np.concatenate([mesh.uvs, mesh.owner_uvs], axis=1).tobytes()
+
+
+def normal_bytes(normal_uvs: NDArray[np.float32]) -> bytes:
+    """Normal uvs as whole steps, two uint16 a vertex."""
+    return np.rint(np.clip(normal_uvs, 0.0, 1.0) * NORMAL_UV_STEPS).astype("<u2").tobytes()
 
 
 def index_bytes(mesh: LodMesh, indices: NDArray[np.uint32]) -> bytes:
@@ -115,6 +136,7 @@ class Levels:
             vertices=self._keep(vertex_bytes(mesh)),
             indices=self._keep(index_bytes(mesh, mesh.triangles)),
             index_size=2 if len(mesh.uvs) <= 0xFFFF else 4,
+            normal_uvs=None if mesh.normal_uvs is None else self._keep(normal_bytes(mesh.normal_uvs)),
         )
         self.lods = (*self.lods, lod)
         self.errors_m = np.array([lod.mesh.error_m for lod in self.lods])
@@ -186,6 +208,7 @@ class Levels:
             }
             content = [
                 layout(program, lod.vertices, VERTEX_ATTRIBUTES),
+                layout(program, lod.normal_uvs, NORMAL_ATTRIBUTES) if lod.normal_uvs is not None else None,
                 instance_layout(program, self._instances[group]),
             ]
             self._vertex_arrays[key] = self.ctx.vertex_array(
@@ -231,7 +254,7 @@ def layout(
             formats.append(form)
             names.append(name)
         else:
-            formats.append(f"{int(form[0]) * 4}x")
+            formats.append(f"{int(form[0]) * int(form[-1])}x")
     if not names:
         return None
     return (buffer, " ".join(formats) + (" /i" if per_instance else ""), *names)
