@@ -28,7 +28,7 @@ from preprocess.erase import plan as plan_module
 from preprocess.erase.matrix import GRADIENT_MASS
 from preprocess.erase.mips import mip_sizes, shrink
 from preprocess.erase.quantise import PEAK, REACH, STAY, TOLERATED, _best_steps, _Search
-from preprocess.erase.solve import NotConvergedError
+from preprocess.erase.solve import NotConvergedError, keep_by_contrast
 from preprocess.erase.terms import inward_normals, jump_rows, lerp_targets, sample_rows, slope_rows, value_rows
 from preprocess.mesh import TexturedSurface
 from preprocess.seams import find_seams
@@ -305,6 +305,36 @@ def test_rounding_stays_in_range_where_the_solution_leaves_it():
     assert plan.measure(bounded.texels).total.max() < 1e-11
     stored = plan.erase_stored((image * 255).astype(np.uint8)).texels
     assert plan.measure(stored).max.max() <= 0.5
+
+
+def test_range_is_kept_where_the_bounded_solution_does_not_converge(monkeypatch):
+    """What is left outside after too few repetitions goes by contrast: in range, seams as closed as before."""
+    surface = MESHES["cube"]
+    seams = find_seams(surface)
+    image = (paint(96, 96, seed=4) > 0.5).astype(float)
+    plan = plan_erasure(surface, seams, 96, 96)
+    converged = plan.erase(image, bounds=(0.0, 1.0)).texels
+    monkeypatch.setattr("preprocess.erase.solve.MAX_BOUND_REPEATS", 3)
+    erased = plan.erase(image, bounds=(0.0, 1.0))
+    assert erased.texels.min() >= 0 and erased.texels.max() <= 1
+    assert plan.measure(erased.texels).total.max() < 1e-11
+    assert np.abs(erased.texels - image).mean() < 2 * np.abs(converged - image).mean()
+
+
+def test_contrast_is_lowered_part_by_part():
+    surface = MESHES["pair"]
+    strip = plan_erasure(surface, find_seams(surface), 32, 32).strip
+    rng = np.random.default_rng(0)
+    within = rng.uniform(0.2, 0.8, (len(strip.texels), 2))
+    np.testing.assert_allclose(keep_by_contrast(within, strip, np.zeros(2), np.ones(2)), within, atol=1e-15)
+    beyond = within * (1.0, 1.5)
+    kept = keep_by_contrast(beyond, strip, np.zeros(2), np.ones(2))
+    assert kept.min() >= 0 and kept.max() <= 1
+    np.testing.assert_allclose(kept[:, 0], within[:, 0], atol=1e-15)
+    jumps = strip.rows @ beyond[:, 1], strip.rows @ kept[:, 1]
+    ratio = jumps[1] / jumps[0]
+    np.testing.assert_allclose(ratio, ratio.mean(), rtol=1e-9)  # one part, one factor
+    assert 0.3 < ratio.mean() < 1
 
 
 def test_gain_equals_the_objective():

@@ -25,6 +25,7 @@ from preprocess.erase.region import Region, silhouette_ends
 from preprocess.erase.solve import (
     BOUND_TOLERANCE_REL,
     Factor,
+    keep_by_contrast,
     solve_bounded,
     solve_change,
 )
@@ -268,8 +269,12 @@ class Eraser:
         if max((lower - start).max(initial=0.0), (start - upper).max(initial=0.0)) <= BOUND_TOLERANCE_REL:
             return free, after
         free, excess = solve_bounded(self.factor, force, jump, free, unknowns, lower, upper)
-        if excess > 100 * BOUND_TOLERANCE_REL:
-            logger.warning("erase: the solution leaves its range by %.1e near seams", excess)
+        if excess > BOUND_TOLERANCE_REL:
+            logger.info("erase: the solution leaves its range by %.1e near seams: contrast is lowered there", excess)
+            free[unknowns] = (
+                keep_by_contrast(values[on_seam] + free[unknowns], self.strip, bounds[0] / span, bounds[1] / span)
+                - values[on_seam]
+            )
         left = jump + self.factor.jump @ free
         return free, np.einsum("rc,rc->c", left, left)
 

@@ -114,7 +114,7 @@ class _Search:
         self.shares = np.append(columns.data, 0.0).astype(np.float32)
         self.weights = np.append(strip.weights, 0.0).astype(np.float32)
         self.columns = sparse.csr_array((self.shares[:-1], columns.indices, columns.indptr), shape=columns.shape)
-        self.bend = self.columns.power(2) @ self.weights[:-1] + np.float32(STAY)
+        self.bend = np.asarray(self.columns.power(2).dot(self.weights[:-1])) + np.float32(STAY)
         self.wanted = wanted
         self.stored = np.rint(wanted)
         self.jump = np.zeros((self.num_channels, num_points + 1), np.float32)

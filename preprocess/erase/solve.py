@@ -21,6 +21,7 @@ from scipy import sparse
 
 from preprocess import cholesky
 from preprocess.cholesky import factor_symmetric
+from preprocess.erase.strip import SeamStrip
 from preprocess.mesh import Floats
 
 MAX_REPEATS = 60
@@ -130,7 +131,7 @@ def solve_bounded(
 
     The alternating direction method of multipliers (Boyd et al. 2011, section 5.2): solutions of the linear system,
     pulled towards a copy of the bounded unknowns, alternate with clipping that copy. Every solution is seamless; the
-    limit is also in range.
+    limit is also in range. It may take more repetitions than there are: `keep_by_contrast` ends it then.
 
     Parameters
     ----------
@@ -169,3 +170,44 @@ def solve_bounded(
         copy = np.clip(relaxed + dual, lower, upper)
         dual += relaxed - copy
     return change, excess
+
+
+def keep_by_contrast(values: Floats, strip: SeamStrip, lower: Floats, upper: Floats) -> Floats:
+    """Bring a seamless strip into a range by lowering its contrast, each connected part by as much as it needs.
+
+    Moving all values of a part towards one constant by one fraction scales every jump by that fraction: closed seams
+    stay closed. This is the answer that always exists where `solve_bounded` has not come to its limit.
+
+    Parameters
+    ----------
+    values : (N, C) float64
+        At the strip's texels.
+    strip : SeamStrip
+    lower, upper : (C,) float64
+
+    Returns
+    -------
+    (N, C) float64
+        Within the range.
+    """
+    from scipy.sparse import csgraph
+
+    # Texels and points as one graph, an edge wherever a point reads a texel.
+    reads = sparse.coo_array(strip.rows)
+    num_points, num_both = reads.shape[0], sum(reads.shape)
+    graph = sparse.coo_array((np.ones(reads.nnz), (reads.row, reads.col + num_points)), shape=(num_both, num_both))
+    num, part = csgraph.connected_components(graph, directed=False)
+    part = part[num_points:]
+    count = np.maximum(np.bincount(part, minlength=num), 1)
+    result = np.empty_like(values)
+    for channel in range(values.shape[1]):
+        low, high, value = lower[channel], upper[channel], values[:, channel]
+        center = np.clip(np.bincount(part, value, num) / count, low, high)
+        # Next to an end of the range there is no room for any contrast: the middle of the range has some.
+        center = 0.5 * (center + 0.5 * (low + high))
+        away = value - center[part]
+        room = np.where(away > 0, high - center[part], center[part] - low)
+        kept = np.ones(num)
+        np.minimum.at(kept, part, room / np.maximum(np.abs(away), room))
+        result[:, channel] = np.clip(center[part] + kept[part] * away, low, high)
+    return result
