@@ -30,6 +30,7 @@ from runtime.gl_state import saved_state
 from runtime.gpu_asset import Model
 from runtime.gpu_levels import INSTANCE, instance_layout
 from runtime.gpu_textures import TEXTURE_UNITS
+from runtime.lod import Quality
 from runtime.passes import set_material
 from runtime.pose import sample, skinning_rows
 from runtime.programs import build_program, set_uniforms
@@ -229,15 +230,15 @@ def measure_levels(bench: Bench, canvas: Canvas, rounds: int) -> list[dict[str, 
         ways[f"{view}: full detail"] = {"lod": 0, "tessellation": "off", "view": view}
         ways[f"{view}: chosen level"] = {"lod": "auto", "tessellation": "off", "view": view}
         if bench.renderer.has_tessellation:
-            coarsest = len(bench.model.lods) - 1
-            ways[f"{view}: coarsest level, tessellated"] = {"lod": coarsest, "tessellation": "auto", "view": view}
+            ways[f"{view}: tessellation preferred"] = {"lod": "auto", "tessellation": "auto", "view": view}
+    dividing = Renderer(bench.ctx, quality=Quality(prefer="tessellation"))
 
     def draw(how: dict[str, Any]) -> Callable[[], None]:
         def work() -> None:
             canvas.framebuffer.use()
             for _ in range(DRAWS_A_ROUND):  # each a picture of its own: what is behind another would not be shaded
                 canvas.framebuffer.clear(depth=1.0)
-                bench.renderer.draw([bench.actor], camera, **how)
+                (dividing if how["tessellation"] == "auto" else bench.renderer).draw([bench.actor], camera, **how)
             bench.ctx.finish()
 
         return work
@@ -246,7 +247,8 @@ def measure_levels(bench: Bench, canvas: Canvas, rounds: int) -> list[dict[str, 
     rows = []
     for name, how in ways.items():
         draw(how)()
-        level = bench.renderer.last_drawn[bench.actor].level
+        used = dividing if how["tessellation"] == "auto" else bench.renderer
+        level = used.last_drawn[bench.actor].level
         wall, cpu = times[f"{how['view']}: full detail"]
         rows.append(
             {
@@ -259,6 +261,7 @@ def measure_levels(bench: Bench, canvas: Canvas, rounds: int) -> list[dict[str, 
                 "times less work": cpu / times[name][1],
             }
         )
+    dividing.release()
     return rows
 
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.asset import Asset, LodMesh, MaterialData
-from runtime.patch_faults import faulty_faces, keep_flat
-from runtime.patches import build_patches, seam_edges
+from runtime.patch_faults import divided_patches, patch_tolerance_m
+from runtime.patches import seam_edges
 
 INSTANCE = np.dtype([("rows", "<f4", (3, 4)), ("tint", "<f4", 4), ("numbers", "<i4", 2)])
 VERTEX_ATTRIBUTES = (("2f4", "in_uv"), ("2f4", "in_owner_uv"))
@@ -29,7 +29,6 @@ INSTANCE_ATTRIBUTES = (
     ("4f4", "in_tint"),
     ("2i4", "in_numbers"),
 )
-PATCH_TOLERANCE_REL = 1e-3  # a divided triangle may always stray so far from the flat one, of the body's diagonal
 
 
 @dataclass(frozen=True)
@@ -140,28 +139,14 @@ class Levels:
         )
         self.lods = (*self.lods, lod)
         self.errors_m = np.array([lod.mesh.error_m for lod in self.lods])
-        self.divided_errors_m = self.errors_m + [self._patch_tolerance_m(lod.mesh) for lod in self.lods]
+        self.divided_errors_m = self.errors_m + [patch_tolerance_m(self.asset, lod.mesh) for lod in self.lods]
 
     def patches(self, level: int) -> moderngl.Buffer:
         """Index buffer of a level's patches, nine a triangle (made when first asked for)."""
         if level not in self._patch_buffers:
             mesh = self.lods[level].mesh
-            indices = build_patches(mesh.uvs, mesh.owner_uvs, mesh.triangles)
-            if len(indices):
-                indices = self._without_faults(mesh, indices)
-            self._patch_buffers[level] = self._keep(index_bytes(mesh, indices))
+            self._patch_buffers[level] = self._keep(index_bytes(mesh, divided_patches(self.asset, mesh)))
         return self._patch_buffers[level]
-
-    def _without_faults(self, mesh: LodMesh, patches: NDArray[np.uint32]) -> NDArray[np.uint32]:
-        positions = np.asarray(self.asset.textures["position"].levels[0][:, :, :3], np.float32)
-        faulty = faulty_faces(positions, mesh.uvs, mesh.owner_uvs, patches, self._patch_tolerance_m(mesh))
-        _, points = np.unique(mesh.owner_uvs, axis=0, return_inverse=True)
-        return keep_flat(patches, points.ravel(), faulty)
-
-    def _patch_tolerance_m(self, mesh: LodMesh) -> float:
-        """How far points of a divided triangle may lie from the flat one, metres; it stays whole otherwise."""
-        low, high = self.asset.manifest.bind_bounds
-        return max(mesh.error_m, PATCH_TOLERANCE_REL * float(np.linalg.norm(high - low)))
 
     def longest_edge_texels(self, level: int) -> float:
         """Length of a level's longest edge in texels of the position texture, along its longer axis."""

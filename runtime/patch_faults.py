@@ -12,10 +12,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.asset import Asset, LodMesh
+from runtime.patches import build_patches
+
 Floats = NDArray[np.float32]
 
 SEGMENTS = 6  # of the grid, an edge
 FACES_AT_ONCE = 4096
+PATCH_TOLERANCE_REL = 1e-3  # a divided triangle may always stray so far from the flat one, of the body's diagonal
 
 
 def _grid() -> tuple[Floats, NDArray[np.int64]]:
@@ -124,3 +128,18 @@ def keep_flat(patches: NDArray[np.uint32], points: NDArray[np.int64], faulty: ND
     kept = patches.copy()
     kept[:, 4::2] = np.where(is_flat[edge], patches[:, 3::2], patches[:, 4::2])
     return kept
+
+
+def patch_tolerance_m(asset: Asset, mesh: LodMesh) -> float:
+    """How far points of a level's divided triangles may lie from the flat ones, metres; they stay whole otherwise."""
+    low, high = asset.manifest.bind_bounds
+    return max(mesh.error_m, PATCH_TOLERANCE_REL * float(np.linalg.norm(high - low)))
+
+
+def divided_patches(asset: Asset, mesh: LodMesh) -> NDArray[np.uint32]:
+    """Patches of a level in which the edges of faulty faces are owned by a single point, (F, 9) uint32."""
+    patches = build_patches(mesh.uvs, mesh.owner_uvs, mesh.triangles)
+    positions = np.asarray(asset.textures["position"].levels[0][:, :, :3], np.float32)
+    faulty = faulty_faces(positions, mesh.uvs, mesh.owner_uvs, patches, patch_tolerance_m(asset, mesh))
+    _, points = np.unique(mesh.owner_uvs, axis=0, return_inverse=True)
+    return keep_flat(patches, points.ravel(), faulty)

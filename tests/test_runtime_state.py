@@ -218,14 +218,14 @@ def test_bad_arguments_are_named(scene: Scene, how: dict[str, Any], message: str
     actor = scene.model.actor()
     scene.renderer.add_view("own", "uniform vec3 wanted;\nout vec4 result;\nvoid main() { result = wanted.xyzz; }")
     scene.renderer.add_view("broken", "out vec4 result;\nvoid main() { result = 1.0 }")
-    good = scene.picture([actor], lod=np.int64(1))
+    good = scene.picture([actor], lod=np.int64(1), view="mask")
     gl = gl_state.functions()
     before = driver_state(gl)
     with pytest.raises(RenderError, match=message):
         scene.picture([actor], **how)
     scene.framebuffer.use()
     assert driver_state(gl) == before
-    assert (scene.picture([actor], lod=1) == good).all()
+    assert (scene.picture([actor], lod=1, view="mask") == good).all()
 
 
 def test_only_actors_and_crowds_are_drawn_and_models_made_of_assets(scene: Scene, ball: Asset) -> None:
