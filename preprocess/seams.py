@@ -55,15 +55,30 @@ def _half_edges(faces: Ints) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     return faces, np.roll(faces, -1, axis=1)
 
 
-def find_seams(surface: TexturedSurface) -> Seams:
+def count_crowded_edges(surface: TexturedSurface) -> int:
+    """Number of 3D edges with three or more faces."""
+    start, end = (a.reshape(-1).astype(np.int64) for a in _half_edges(surface.faces))
+    real = start != end
+    keys = np.stack([np.minimum(start, end), np.maximum(start, end)], axis=1)[real]
+    return int((np.unique(keys, axis=0, return_counts=True)[1] > 2).sum())
+
+
+def find_seams(surface: TexturedSurface, *, join_crowded: bool = False) -> Seams:
     """Pair the half-edges of every 3D edge and sort them into seams, boundaries and foldovers.
 
     Zero-length uv edges are kept (they carry no discontinuity). Edges that join a vertex to itself are ignored.
 
+    Parameters
+    ----------
+    surface : TexturedSurface
+    join_crowded : bool
+        Where three or more faces meet at a 3D edge, pair its different uv edges one after the other: signals that
+        agree across each pair agree across all.
+
     Raises
     ------
     InputError
-        If a 3D edge has three or more faces: such a mesh is split before it comes here.
+        If a 3D edge has three or more faces, unless they are to be joined: such a mesh is split before it comes here.
     """
     start, end = (a.reshape(-1).astype(np.int64) for a in _half_edges(surface.faces))
     uv_start, uv_end = (a.reshape(-1).astype(np.int64) for a in _half_edges(surface.face_uvs))
@@ -77,7 +92,7 @@ def find_seams(surface: TexturedSurface) -> Seams:
     same = (low[order][1:] == low[order][:-1]) & (high[order][1:] == high[order][:-1])
     first = np.flatnonzero(np.r_[True, ~same]) if len(order) else np.zeros(0, np.int64)
     count = np.diff(np.r_[first, len(order)])
-    if (count > 2).any():
+    if (count > 2).any() and not join_crowded:
         a = order[first[np.flatnonzero(count > 2)[0]]]
         raise InputError(
             f"{int((count > 2).sum())} mesh edges have three or more faces (the first joins vertices "
@@ -86,6 +101,17 @@ def find_seams(surface: TexturedSurface) -> Seams:
 
     one = order[first[count == 1]]
     left, right = order[first[count == 2]], order[first[count == 2] + 1]
+    crowd = order[np.repeat(count > 2, count)]
+    if len(crowd):
+        runs_up = start[crowd] < end[crowd]
+        at_low = np.where(runs_up, uv_start[crowd], uv_end[crowd])
+        at_high = np.where(runs_up, uv_end[crowd], uv_start[crowd])
+        crowd_order = np.lexsort((face[crowd], at_high, at_low, high[crowd], low[crowd]))
+        crowd = crowd[crowd_order]
+        key = np.stack([low[crowd], high[crowd], at_low[crowd_order], at_high[crowd_order]])
+        one_edge = (key[:2, 1:] == key[:2, :-1]).all(axis=0)
+        differ = np.flatnonzero(one_edge & (key[2:, 1:] != key[2:, :-1]).any(axis=0))
+        left, right = np.concatenate([left, crowd[differ]]), np.concatenate([right, crowd[differ + 1]])
     # Bring the right half-edge's uvs into the left one's direction.
     opposed = start[left] == end[right]
     right_uv_start = np.where(opposed, uv_end[right], uv_start[right])

@@ -24,7 +24,7 @@ from preprocess.errors import InputError
 from preprocess.folder import whole_parents
 from preprocess.images import Image, read_image, write_image
 from preprocess.mesh import TexturedSurface
-from preprocess.seams import Seams, find_seams
+from preprocess.seams import Seams, count_crowded_edges, find_seams
 
 logger = logging.getLogger(__name__)
 
@@ -130,7 +130,10 @@ def _read_mesh(path: Path) -> tuple[TexturedSurface, Seams, bool]:
     wraps = bool(surface.uvs.min() < 0 or surface.uvs.max() > 1)
     if wraps:
         print(f"note: {path.name} has uvs outside [0, 1]: they wrap round, as with a repeating sampler")
-    return surface, find_seams(surface), wraps
+    num_crowded = count_crowded_edges(surface)
+    if num_crowded:
+        print(f"note: {num_crowded} mesh edges have three or more faces: the image is joined across all of them")
+    return surface, find_seams(surface, join_crowded=True), wraps
 
 
 def _output_paths(images: list[Path], output: Path, mips: bool) -> list[Path]:
