@@ -101,12 +101,13 @@ class Bench:
 def attribute_vertices(asset: Asset) -> NDArray[Any]:
     """The finest level's vertices as attributes, sampled from the same textures: position, uv, four joints, weights."""
     from preprocess.texels import sample_bilinear
+    from preprocess.weight_details import sample_weights
     from preprocess.weights import unpack_weights
 
     mesh = asset.lods[0]
     positions = sample_bilinear(asset.textures["position"].levels[0][:, :, :3], mesh.owner_uvs)
-    dense = unpack_weights(asset.textures["weights"].levels[0], asset.weight_size, asset.num_joints)
-    weights = sample_bilinear(dense, mesh.owner_uvs)
+    stored = unpack_weights(asset.textures["weights"].levels[0], asset.weight_size, asset.num_joints)
+    weights = sample_weights(stored, asset.weight_details, mesh.owner_uvs)
     joints = np.argsort(-weights, axis=1, kind="stable")[:, :4]
     strongest = np.take_along_axis(weights, joints, axis=1)
     form = [("position", "<f4", 3), ("uv", "<f4", 2), ("joints", "u1", 4), ("weights", "u1", 4)]
@@ -146,10 +147,14 @@ def add_layouts(bench: Bench) -> dict[str, int]:
     vertices = ctx.buffer(attribute_vertices(asset).tobytes())
     names = ("in_position", "in_uv", "in_joints", "in_weights")
     bench.add("vertex attributes", "attributes.vert", vertices, "3f4 2f4 4u1 4f1", names, {})
-    own, both = bench.model.lods[0].vertices, ("in_uv", "in_owner_uv")
-    bench.add("textures: records a cell", "static.vert", own, "2f4 2f4", both, bench.model.shader_defines)
-    bench.add("textures: lists a texel", "layouts.vert", own, "2f4 2f4", both, {"LAYOUT_LISTS": 1, "LISTS": lists})
-    bench.add("textures: dense layers", "layouts.vert", own, "2f4 2f4", both, {"LAYOUT_DENSE": 1, "LAYERS": layers})
+    finest = bench.model.lods[0]
+    own, owners = finest.vertices, finest.owner_defines
+    form, both = " ".join(form for form, _ in finest.attributes), tuple(name for _, name in finest.attributes)
+    bench.add("textures: records a cell", "static.vert", own, form, both, {**owners, **bench.model.shader_defines})
+    bench.add("textures: lists a texel", "layouts.vert", own, form, both, {**owners, "LAYOUT_LISTS": 1, "LISTS": lists})
+    bench.add(
+        "textures: dense layers", "layouts.vert", own, form, both, {**owners, "LAYOUT_DENSE": 1, "LAYERS": layers}
+    )
     return {
         "vertex attributes": 8 * len(bench.mesh.uvs),
         "textures: records a cell": bench.model.weight_cells.nbytes,

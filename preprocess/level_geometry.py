@@ -13,7 +13,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
+from preprocess.bake import vertex_values
 from preprocess.decimate import Lod
 from preprocess.gltf.locate import locate_corners
 from preprocess.mesh import Floats, SkinnedMesh
@@ -26,6 +28,7 @@ from preprocess.weights import unpack_weights
 
 log = logging.getLogger(__name__)
 
+SAME_UV = 1e-6  # vertices whose uvs are no further apart are told apart by where they are
 SAMPLES_PX = 256  # the surface between vertices is looked at in a grid at least so fine
 VERTEX_REL = 5e-4  # error allowed at the full mesh's vertices, of the diagonal: a quarter of the goal
 LEVEL_SHARE = 0.25  # at those of coarser levels, of the level's error
@@ -60,6 +63,26 @@ def _locate_owners(mesh: SkinnedMesh, lod: Lod) -> _OnFullMesh:
     return _OnFullMesh(mesh.surface.faces[places.faces[rows]].astype(np.int64), places.barycentrics[rows])
 
 
+def _at_vertices(vertices: NDArray[np.int64]) -> _OnFullMesh:
+    """Vertices of the full mesh as points on it."""
+    return _OnFullMesh(vertices[:, None].repeat(3, axis=1), np.tile((1.0, 0.0, 0.0), (len(vertices), 1)))
+
+
+def _vertices_of_uvs(mesh: SkinnedMesh) -> NDArray[np.int64]:
+    """The surface vertex of each texture vertex, (T,)."""
+    vertices = np.zeros(len(mesh.surface.uvs), np.int64)
+    vertices[mesh.surface.face_uvs.ravel()] = mesh.surface.faces.ravel()
+    return vertices
+
+
+def _locate_full(mesh: SkinnedMesh, lod: Lod) -> _OnFullMesh:
+    """The vertices of the full mesh that those of the finest level are: they have the same uvs."""
+    surface, scale = mesh.surface, SAME_UV / max(mesh.surface.diagonal_m, 1e-30)
+    known = cKDTree(np.c_[surface.uvs, scale * vertex_values(mesh, surface.positions)])
+    _, nearest = known.query(np.c_[lod.uvs[lod.owner_uvs], scale * lod.positions])
+    return _at_vertices(_vertices_of_uvs(mesh)[nearest])
+
+
 def _points_inside(mesh: SkinnedMesh, side: int) -> tuple[Floats, _OnFullMesh]:
     """A grid of points in the charts, `SAMPLES_PX` a side or finer, even in every cell: uvs (N, 2) and places."""
     grid = side * -(-SAMPLES_PX // side)
@@ -77,9 +100,7 @@ def _detail(
     num_joints, surface = poses.shape[1], mesh.surface
     stored = unpack_weights(_as_integers(weights), weights.size, num_joints)
     inside_uvs, inside = _points_inside(mesh, weights.size[0])
-    texture_vertices = np.zeros(len(surface.uvs), np.int64)
-    texture_vertices[surface.face_uvs.ravel()] = surface.faces.ravel()
-    copies = _OnFullMesh(texture_vertices[:, None].repeat(3, axis=1), np.tile((1.0, 0.0, 0.0), (len(surface.uvs), 1)))
+    copies = _at_vertices(_vertices_of_uvs(mesh))
     uvs = [*(lod.fetch_uvs for lod in lods if lod.fetch_uvs is not None), surface.uvs, inside_uvs]
     on_mesh = [*owners, copies, inside]
     dense = mesh.dense_weights(num_joints)
@@ -132,7 +153,7 @@ def fit_levels(
         With `fetch_uvs`.
     """
     by_name = {texture.name: texture for texture in textures}
-    owners = [_locate_owners(mesh, lod) for lod in lods]
+    owners = [_locate_full(mesh, lods[0]), *(_locate_owners(mesh, lod) for lod in lods[1:])]
     position = by_name["position"]
     full = owners[0].blend(mesh.surface.positions)
     margin_uv = 1.0 / min(by_name["weights"].size)  # a cell: quarters at the edge have nothing beyond it

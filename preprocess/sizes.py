@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 
 GEOMETRY_SIZES_PX = (48, 64, 96, 128, 192, 256, 320, 384, 512, 768, 1024, 1536, 2048)
 TEXELS_A_VERTEX = 1.5  # fewer cannot hold a value of its own for every vertex
-RMS_SHARE = 0.6  # of the accuracy goal at the vertices that stay: weights and rounding add their own part
+RMS_SHARE = 0.8  # of the accuracy goal at the vertices that stay: weights and rounding add their own part
 PARKED_SHARE = 0.1  # of the vertices at most
 STRAY_RMS_REL = 3e-3  # of the surface between vertices, of the diagonal: what divided triangles show
 WEIGHT_SIZES_PX = (48, 64, 96, 128, 192, 256, 384, 512)

@@ -19,9 +19,10 @@ from runtime.patch_faults import divided_patches, patch_tolerance_m
 from runtime.patches import seam_edges
 
 INSTANCE = np.dtype([("rows", "<f4", (3, 4)), ("tint", "<f4", 4), ("numbers", "<i4", 2)])
-VERTEX_ATTRIBUTES = (("2f4", "in_uv"), ("2f4", "in_owner_uv"))
+VERTEX_ATTRIBUTES = (("2f4", "in_uv"), ("2u2", "in_owner_steps"))
+PLAIN_ATTRIBUTES = (("2f4", "in_uv"), ("2f4", "in_owner_uv"))  # where 16 bits cannot say the owners' uvs
 NORMAL_ATTRIBUTES = (("2u2", "in_normal_uv"),)
-NORMAL_UV_STEPS = 65535  # in_normal_uv counts them; moderngl knows no normalised attributes of 16 bits
+UV_STEPS = 65535  # uvs in 16 bits count them; moderngl knows no normalised attributes of 16 bits
 INSTANCE_ATTRIBUTES = (
     ("4f4", "in_world_row0"),
     ("4f4", "in_world_row1"),
@@ -54,6 +55,8 @@ class GpuLod:
         Bytes an index, 2 or 4.
     normal_uvs : Buffer or None
         `normal_bytes`, where the level has normal uvs.
+    attributes : tuple of (format, name)
+        What lies in `vertices`.
     """
 
     mesh: LodMesh
@@ -62,11 +65,17 @@ class GpuLod:
     indices: moderngl.Buffer
     index_size: int
     normal_uvs: moderngl.Buffer | None = None
+    attributes: tuple[tuple[str, str], ...] = PLAIN_ATTRIBUTES
 
     @property
     def shader_defines(self) -> dict[str, int]:
         """Preprocessor definitions that programs for this level need, beside the model's."""
-        return {} if self.normal_uvs is None else {"NORMAL_UV": 1}
+        return self.owner_defines if self.normal_uvs is None else {**self.owner_defines, "NORMAL_UV": 1}
+
+    @property
+    def owner_defines(self) -> dict[str, int]:
+        """Those of them that say how owner uvs come; the same for all levels of a model."""
+        return {"OWNER_STEPS": 1} if self.attributes is VERTEX_ATTRIBUTES else {}
 
     @property
     def nbytes(self) -> int:
@@ -88,14 +97,21 @@ def draw_groups(mesh: LodMesh, materials: tuple[MaterialData, ...]) -> tuple[Dra
     return tuple(groups)
 
 
-def vertex_bytes(mesh: LodMesh) -> bytes:
-    """A level's vertices: uv and owner uv, four float32 each."""
-    return np.concatenate([mesh.uvs, mesh.owner_uvs], axis=1).tobytes()
+def owner_steps(mesh: LodMesh) -> NDArray[np.uint16] | None:
+    """Owner uvs in 16 bits, (N, 2); None where these cannot say them exactly."""
+    steps = np.rint(np.clip(mesh.owner_uvs.astype(np.float64), 0.0, 1.0) * UV_STEPS).astype(np.uint16)
+    return steps if np.array_equal((steps / UV_STEPS).astype(np.float32), mesh.owner_uvs) else None
+
+
+def vertex_bytes(mesh: LodMesh, steps: NDArray[np.uint16] | None) -> bytes:
+    """A level's vertices: uv and owner uv, twelve bytes each, or sixteen where owners have no 16-bit steps."""
+    parts = (mesh.uvs, mesh.owner_uvs if steps is None else steps)
+    return np.concatenate([np.ascontiguousarray(part).view(np.uint8) for part in parts], axis=1).tobytes()
 
 
 def normal_bytes(normal_uvs: NDArray[np.float32]) -> bytes:
     """Normal uvs as whole steps, two uint16 a vertex."""
-    return np.rint(np.clip(normal_uvs, 0.0, 1.0) * NORMAL_UV_STEPS).astype("<u2").tobytes()
+    return np.rint(np.clip(normal_uvs, 0.0, 1.0) * UV_STEPS).astype("<u2").tobytes()
 
 
 def index_bytes(mesh: LodMesh, indices: NDArray[np.uint32]) -> bytes:
@@ -116,6 +132,7 @@ class Levels:
         self.ctx, self.asset = ctx, asset
         self.lods: tuple[GpuLod, ...] = ()
         self.errors_m = self.divided_errors_m = np.zeros(0)  # as they are, and at most when tessellated
+        self._in_steps = all(owner_steps(mesh) is not None for mesh in asset.lods)
         self._owned: list[moderngl.Buffer] = []
         self._line_buffers: dict[int, moderngl.Buffer] = {}
         self._edge_texels: dict[int, float] = {}
@@ -129,13 +146,15 @@ class Levels:
 
     def upload(self, mesh: LodMesh) -> None:
         """Add the next level."""
+        steps = owner_steps(mesh) if self._in_steps else None
         lod = GpuLod(
             mesh=mesh,
             groups=draw_groups(mesh, self.asset.materials),
-            vertices=self._keep(vertex_bytes(mesh)),
+            vertices=self._keep(vertex_bytes(mesh, steps)),
             indices=self._keep(index_bytes(mesh, mesh.triangles)),
             index_size=2 if len(mesh.uvs) <= 0xFFFF else 4,
             normal_uvs=None if mesh.normal_uvs is None else self._keep(normal_bytes(mesh.normal_uvs)),
+            attributes=PLAIN_ATTRIBUTES if steps is None else VERTEX_ATTRIBUTES,
         )
         self.lods = (*self.lods, lod)
         self.errors_m = np.array([lod.mesh.error_m for lod in self.lods])
@@ -192,7 +211,7 @@ class Levels:
                 "seams": lambda: self.seam_lines(level),
             }
             content = [
-                layout(program, lod.vertices, VERTEX_ATTRIBUTES),
+                layout(program, lod.vertices, lod.attributes),
                 layout(program, lod.normal_uvs, NORMAL_ATTRIBUTES) if lod.normal_uvs is not None else None,
                 instance_layout(program, self._instances[group]),
             ]

@@ -1,8 +1,8 @@
 // Vertices of a level read from the textures once, by transform feedback: position at rest, and one record of joints
 // and weights. The very functions that static.vert uses, so that nothing differs.
 #include "include/skinning.glsl"
+#include "include/owner.glsl"
 
-in vec2 in_owner_uv;
 uniform int record_number;   // which record of a cell, 0 for the first
 
 out vec3 rest;
@@ -10,11 +10,11 @@ out vec4 joints;
 out vec4 weights;
 
 void main() {
-    rest = rest_position(in_owner_uv);
+    rest = rest_position(owner_uv());
     joints = vec4(0.0);
     weights = vec4(0.0);
     vec4 shares;
-    uint record = find_record(in_owner_uv, shares);
+    uint record = find_record(owner_uv(), shares);
     float left = 1.0;
     bool more = true;
     for (int number = 0; more; number++) {

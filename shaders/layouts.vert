@@ -5,9 +5,9 @@
 #include "include/frame.glsl"
 #include "include/instance.glsl"
 #include "include/skinning.glsl"
+#include "include/owner.glsl"
 
 in vec2 in_uv;
-in vec2 in_owner_uv;
 
 out vec2 surface_uv;
 out vec3 surface_position;
@@ -57,8 +57,8 @@ mat3x4 blend_all(vec2 uv, int pose) {
 #endif
 
 void main() {
-    vec3 rest = rest_position(in_owner_uv);
-    mat3x4 pose = blend_all(in_owner_uv, in_numbers.x);
+    vec3 rest = rest_position(owner_uv());
+    mat3x4 pose = blend_all(owner_uv(), in_numbers.x);
     mat3x4 world = mat3x4(in_world_row0, in_world_row1, in_world_row2);
     vec3 position = transform_point(world, transform_point(pose, rest));
     gl_Position = clip_from_world * vec4(position, 1.0);

@@ -6,9 +6,9 @@
 #include "include/instance.glsl"
 #include "include/skinning.glsl"
 #include "include/point_out.glsl"
+#include "include/owner.glsl"
 
 in vec2 in_uv;
-in vec2 in_owner_uv;
 #ifdef NORMAL_UV
 in uvec2 in_normal_uv;  // 65535ths
 #endif
@@ -17,7 +17,7 @@ void main() {
 #ifdef WITHOUT_OWNERS
     vec2 geometry_uv = in_uv;
 #else
-    vec2 geometry_uv = in_owner_uv;
+    vec2 geometry_uv = owner_uv();
 #endif
     emit_point(in_uv, geometry_uv, mat3x4(in_world_row0, in_world_row1, in_world_row2), in_tint, in_numbers);
 #ifdef NORMAL_UV
