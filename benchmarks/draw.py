@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks._table import print_table
+from benchmarks._tall import measure_tall
 from demos.headless import Canvas, create_context
 from demos.options import picture_size
 from runtime.asset import Asset, load
@@ -30,7 +32,6 @@ from runtime.gl_state import saved_state
 from runtime.gpu_asset import Model
 from runtime.gpu_levels import INSTANCE, instance_layout
 from runtime.gpu_textures import TEXTURE_UNITS
-from runtime.lod import Quality
 from runtime.passes import set_material
 from runtime.pose import sample, skinning_rows
 from runtime.programs import build_program, set_uniforms
@@ -40,7 +41,6 @@ from runtime.weight_cells import split_stack
 BUILT = Path("out/benchmarks/human.seamless")
 JOINT_BLOCK_ROWS = 1020  # vec4 in the smallest uniform block that OpenGL promises, three a joint
 DRAWS_A_ROUND = 6  # before one waits for the end
-TALL_PX = 200
 # Bytes a vertex of the classic chain. As glTF has them: position 12, normal 12, tangent 16, uv 8, joints 4, weights 16;
 # packed: position 12, normal 4, tangent 4, uv 8, joints 4, weights 4.
 CLASSIC_VERTEX_BYTES = {"as glTF": 68, "packed": 36}
@@ -221,55 +221,6 @@ def measure_layouts(bench: Bench, canvas: Canvas, rounds: int) -> list[dict[str,
     ]
 
 
-def measure_levels(bench: Bench, canvas: Canvas, rounds: int) -> list[dict[str, Any]]:
-    """A character 200 pixels tall: full detail, the level that the error allows, and tessellation."""
-    low, high = bench.asset.manifest.bind_bounds
-    near = framing((low, high), canvas.size[0] / canvas.size[1])
-    middle = (low + high) / 2
-    distance = (high[1] - low[1]) * canvas.size[1] / (2 * np.tan(np.radians(near.fovy_deg) / 2) * TALL_PX)
-    towards = np.asarray(near.eye) - near.target
-    eye = middle + towards / np.linalg.norm(towards) * distance
-    camera = Camera(tuple(eye), tuple(middle), fovy_deg=near.fovy_deg)
-    ways: dict[str, dict[str, Any]] = {}
-    for view in ("lit", "mask"):
-        ways[f"{view}: full detail"] = {"lod": 0, "tessellation": "off", "view": view}
-        ways[f"{view}: chosen level"] = {"lod": "auto", "tessellation": "off", "view": view}
-        if bench.renderer.has_tessellation:
-            ways[f"{view}: tessellation preferred"] = {"lod": "auto", "tessellation": "auto", "view": view}
-    dividing = Renderer(bench.ctx, quality=Quality(prefer="tessellation"))
-
-    def draw(how: dict[str, Any]) -> Callable[[], None]:
-        def work() -> None:
-            canvas.framebuffer.use()
-            for _ in range(DRAWS_A_ROUND):  # each a picture of its own: what is behind another would not be shaded
-                canvas.framebuffer.clear(depth=1.0)
-                (dividing if how["tessellation"] == "auto" else bench.renderer).draw([bench.actor], camera, **how)
-            bench.ctx.finish()
-
-        return work
-
-    times = take_turns({name: draw(how) for name, how in ways.items()}, rounds)
-    rows = []
-    for name, how in ways.items():
-        draw(how)()
-        used = dividing if how["tessellation"] == "auto" else bench.renderer
-        level = used.last_drawn[bench.actor].level
-        wall, cpu = times[f"{how['view']}: full detail"]
-        rows.append(
-            {
-                "what": f"{TALL_PX} px tall, {name}",
-                "level": level,
-                "faces": len(bench.model.lods[level].mesh.triangles),
-                "wall ms": times[name][0],
-                "times faster": wall / times[name][0],
-                "cpu ms": times[name][1],
-                "times less work": cpu / times[name][1],
-            }
-        )
-    dividing.release()
-    return rows
-
-
 def measure_bytes(model: Model) -> list[dict[str, Any]]:
     """Memory for geometry, weights and all levels beside the classic chain of the same levels."""
     sizes = model.gpu_bytes
@@ -299,9 +250,10 @@ def run(argv: list[str]) -> list[dict[str, Any]]:
     canvas = Canvas(ctx, options.size, smooth=False)
     rows: list[dict[str, Any]] = []
     try:
+        turns = partial(take_turns, rounds=options.rounds)
         with saved_state(range(16), (0, 1), True):
             tables = [measure_layouts(bench, canvas, options.rounds)]
-        tables += [measure_levels(bench, canvas, options.rounds), measure_bytes(bench.model)]
+        tables += [measure_tall(bench.model, bench.actor, canvas, turns, DRAWS_A_ROUND), measure_bytes(bench.model)]
         for table in tables:
             print_table(table)
             print()
