@@ -400,6 +400,19 @@ def test_every_mip_level_is_seamless(size):
     assert set(plans) == set(mip_sizes(*size))
 
 
+def test_a_chain_may_end_where_closing_would_cost_the_colours():
+    surface = MESHES["cube"]
+    seams = find_seams(surface)
+    image = paint(64, 64)
+    whole = erase_mips(image, surface, seams, levels=255)
+    short = erase_mips(image, surface, seams, levels=255, most_change=0.1)
+    assert 1 < len(short) < len(whole)
+    for one, other in zip(short, whole):
+        assert (one.texels == other.texels).all()
+    assert len(erase_mips(image, surface, seams, levels=255, most_change=0.0)) == 1  # the full size always is
+    assert len(erase_mips(image, surface, seams, levels=255, most_change=1.0)) == len(whole)
+
+
 def test_mips_do_not_bleed_across_the_outline():
     surface = MESHES["cube"]
     seams = find_seams(surface)

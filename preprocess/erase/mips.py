@@ -4,6 +4,9 @@ Box filtering alone mixes charts with their neighbours and with the background, 
 texel relative to the seam. Here a level is the box filter of the one above over its used texels alone, in linear light
 where the values are sRGB, and then erased at its own resolution. Trilinear samples between two seamless levels are
 seamless.
+
+Where a texel is as wide as a chart, closing all seams leaves little but one colour: from afar dark hair would turn to
+skin. A chain may end before that; its last level then serves for all that is farther away.
 """
 
 from __future__ import annotations
@@ -94,6 +97,11 @@ def shrink(texels: Floats, used: NDArray[np.bool_], width: int, height: int) -> 
     return np.where(share > 0, masked / np.where(share > 0, share, 1.0), plain)
 
 
+def _change(texels: Floats, before: Floats, inside: NDArray[np.bool_]) -> float:
+    """Root mean square change of the texels inside charts, (H, W, C) each; 0 where none is."""
+    return float(np.sqrt(np.square(texels[inside] - before[inside]).mean())) if inside.any() else 0.0
+
+
 def erase_mips(
     texels: Floats,
     surface: TexturedSurface,
@@ -103,6 +111,7 @@ def erase_mips(
     levels: int = 0,
     srgb_channels: int = 0,
     smallest: int = 1,
+    most_change: float | None = None,
     plans: dict[tuple[int, int], Eraser] | None = None,
 ) -> tuple[Level, ...]:
     """Erase a texture and build its mip chain.
@@ -120,6 +129,8 @@ def erase_mips(
         How many of the first channels hold sRGB values; these are averaged in linear light.
     smallest : int
         The chain ends at the first level that is no larger than this on both axes.
+    most_change : float, optional
+        It ends before the first level whose inside texels erasure moves by more than this, root mean square.
     plans : dict, optional
         Erasers by (width, height) for the same surface, seams and options: used where there is one, and filled, so
         that several textures share them.
@@ -144,6 +155,8 @@ def erase_mips(
             plans[w, h] = plan_erasure(surface, seams, w, h, options)
         plan = plans[w, h]
         erased = plan.erase(current, bounds=(0.0, 1.0) if levels else None)
+        if chain and most_change is not None and _change(erased.texels, current, plan.region.inside) > most_change:
+            break
         result = quantise(erased.texels, plan.strip, levels) if levels else erased.texels
         after = plan.measure(erased.texels)
         stored = plan.measure(result / float(levels)) if levels else after
