@@ -66,18 +66,25 @@ def closed_parts(mesh: LodMesh) -> LodMesh:
     return dataclasses.replace(mesh, triangles=mesh.triangles[keep], draws=tuple(draws))
 
 
-def welded(mesh: LodMesh) -> LodMesh:
-    """The same faces with one vertex a surface point."""
-    owners, point = np.unique(mesh.owner_uvs, axis=0, return_inverse=True)
-    return dataclasses.replace(
-        mesh, uvs=owners, owner_uvs=owners, triangles=point.ravel()[mesh.triangles.astype(np.int64)].astype(np.uint32)
-    )
+def surface_points(mesh: LodMesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The first vertex of each surface point, and the point of each vertex."""
+    _, first, point = np.unique(mesh.owner_uvs, axis=0, return_index=True, return_inverse=True)
+    return first, point.ravel()
+
+
+def welded(mesh: LodMesh, *, at_owners: bool) -> LodMesh:
+    """The same faces with one vertex a surface point, which fetches at its owner's uv or at its first copy's."""
+    first, point = surface_points(mesh)
+    uvs = (mesh.owner_uvs if at_owners else mesh.uvs)[first]
+    triangles = point[mesh.triangles.astype(np.int64)].astype(np.uint32)
+    return dataclasses.replace(mesh, uvs=uvs, owner_uvs=uvs, triangles=triangles, normal_uvs=None)
 
 
 def moved_seams(mesh: LodMesh, shift_uv: float) -> LodMesh:
-    """The owner uv of every copy that is not its own owner, moved."""
+    """The owner uv of every copy that lies elsewhere in the atlas than its point's first copy, moved."""
+    first, point = surface_points(mesh)
     owners = mesh.owner_uvs.copy()
-    owners[(mesh.uvs != mesh.owner_uvs).any(axis=1)] += np.float32(shift_uv)
+    owners[(mesh.uvs != mesh.uvs[first[point]]).any(axis=1)] += np.float32(shift_uv)
     return dataclasses.replace(mesh, owner_uvs=owners)
 
 
@@ -200,17 +207,21 @@ def measure(ctx: moderngl.Context, folder: Path, count: int, size: tuple[int, in
     low, high = asset.manifest.bind_bounds
     shift_uv = SHIFT_REL * float(np.linalg.norm(high - low)) / metres_a_uv(asset)
     shifted = dataclasses.replace(asset, lods=tuple(moved_seams(mesh, shift_uv) for mesh in asset.lods))
-    single = dataclasses.replace(asset, lods=tuple(welded(mesh) for mesh in asset.lods))
+    single, first = (
+        dataclasses.replace(asset, lods=tuple(welded(mesh, at_owners=at_owners) for mesh in asset.lods))
+        for at_owners in (True, False)
+    )
     ours, without = Drawer(ctx, asset), Drawer(ctx, asset, {"WITHOUT_OWNERS": 1})
-    moved, twin = Drawer(ctx, shifted), Drawer(ctx, single)
+    moved, twin, first_twin = Drawer(ctx, shifted), Drawer(ctx, single), Drawer(ctx, first)
     canvas = Canvas(ctx, size, smooth=False)
     result = {"static cracks, px": 0, "without owners, px": 0, "moved by 1e-6, px": 0}
     bits = {"tessellated points": 0, "unlike bits": 0, "without owners, points": 0}
     for frame in frames(asset, count, seed):
         if frame.tessellation == "off":
-            reference = twin.draw(canvas, frame)
-            for name, drawer in zip(result, (ours, without, moved)):
-                result[name] += cracks(drawer.draw(canvas, frame), frame, reference)
+            reference, own_reference = twin.draw(canvas, frame), first_twin.draw(canvas, frame)
+            pairs = ((ours, reference), (without, own_reference), (moved, reference))
+            for name, (drawer, sound) in zip(result, pairs):
+                result[name] += cracks(drawer.draw(canvas, frame), frame, sound)
         elif ctx.version_code >= MIN_VERSION_CODE:
             made, unlike = ours.unlike_points(canvas, frame)
             bits["tessellated points"] += made
