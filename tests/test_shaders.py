@@ -26,6 +26,8 @@ VARIANTS: dict[str, list[dict[str, str | int]]] = {
     "layouts.vert": [{"LAYOUT_LISTS": 1, "LISTS": 2}, {"LAYOUT_DENSE": 1, "LAYERS": 14}],
     "crowd.vert": [{}, {"EIGHT_JOINTS": 1}, {"PLACED": 1}, {"SHOW_WEIGHTS": 1}],
 }
+NORMALS, STEPS, WIDE = {"NORMAL_UV": 1}, {"OWNER_STEPS": 1}, {"WIDE_JOINTS": 1}
+LACKS = [{"NO_CUTOUT": 1}, {"NO_CUTOUT": 1, "NO_EMISSION": 1}, {"NO_CUTOUT": 1, "NO_EMISSION": 1, "NO_ORM": 1}]
 STAGE_FILES = sorted(path.name for path in SHADERS.iterdir() if path.suffix[1:] in SHADER_STAGES)
 
 
@@ -35,7 +37,9 @@ def test_every_stage_compiles_without_warnings(ctx: moderngl.Context, name: str,
     stage = name.rpartition(".")[2]
     if stage in ("tesc", "tese") and version_code < 410:
         pytest.skip("no tessellation below OpenGL 4.1")
-    for defines in VARIANTS.get(name, [{}]):
+    extra = [*LACKS, NORMALS] if stage == "frag" else [NORMALS, STEPS, WIDE]
+    variants = VARIANTS.get(name, [{}])
+    for defines in [*variants, *({**variants[0], **more} for more in extra)]:
         compiled, log = compile_shader(assemble(name, version_code, defines).text, stage)
         assert compiled, f"{name} {defines}: {log}"
         assert not log, f"{name} {defines}: {log}"
@@ -45,7 +49,8 @@ def test_every_stage_compiles_without_warnings(ctx: moderngl.Context, name: str,
 @pytest.mark.parametrize("stages", [("static.vert",), PATCH_STAGES], ids=["static", "patches"])
 def test_every_view_links(ctx: moderngl.Context, view: str, stages: tuple[str, ...]) -> None:
     chosen = LINES if view == "lines" else VIEWS[view]
-    build_program(ctx, (*stages, chosen.fragment), chosen.defines).release()
+    for defines in ({}, {**NORMALS, **STEPS}, LACKS[-1]):
+        build_program(ctx, (*stages, chosen.fragment), {**chosen.defines, **defines}).release()
 
 
 def test_no_stage_needs_more_than_4_1() -> None:
