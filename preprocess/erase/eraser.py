@@ -24,10 +24,12 @@ from preprocess.erase.quantise import round_strip
 from preprocess.erase.region import Region, silhouette_ends
 from preprocess.erase.solve import (
     BOUND_TOLERANCE_REL,
+    LIMIT_REPEATS,
     Factor,
     keep_by_contrast,
     solve_bounded,
     solve_change,
+    solve_limited,
 )
 from preprocess.erase.spread import spread_far, spread_near
 from preprocess.erase.strip import SeamMeasure, SeamStrip, build_strip, measure_intervals
@@ -238,9 +240,13 @@ class Eraser:
             force += weight * (self.rows[name].T @ (target - self.rows[name] @ free_values))
         jump = self.factor.jump @ free_values
         tolerance = TOLERANCE_REL if self.options.seam_weight is None else np.inf
-        free, after, repeats = solve_change(self.factor, force / span, jump / span, tolerance)
+        goal, repeats = np.zeros_like(jump), LIMIT_REPEATS
+        if self.options.jump_limit is None:
+            free, after, repeats = solve_change(self.factor, force / span, jump / span, tolerance)
+        else:
+            free, after, goal = solve_limited(self.factor, force / span, jump / span, self.options.jump_limit / span)
         if bounds is not None:
-            free, after = self._keep_range(force / span, jump / span, free, after, values / span, bounds, span)
+            free, after = self._keep_range(force / span, jump / span, goal, free, after, values / span, bounds, span)
         return Solution(
             values=values,
             change=interpolation @ (free * span),
@@ -254,6 +260,7 @@ class Eraser:
         self,
         force: Floats,
         jump: Floats,
+        goal: Floats,
         free: Floats,
         after: Floats,
         values: Floats,
@@ -268,7 +275,7 @@ class Eraser:
         start = free[unknowns]
         if max((lower - start).max(initial=0.0), (start - upper).max(initial=0.0)) <= BOUND_TOLERANCE_REL:
             return free, after
-        free, excess = solve_bounded(self.factor, force, jump, free, unknowns, lower, upper)
+        free, excess = solve_bounded(self.factor, force, jump - goal, free, unknowns, lower, upper)
         if excess > BOUND_TOLERANCE_REL:
             logger.info("erase: the solution leaves its range by %.1e near seams: contrast is lowered there", excess)
             free[unknowns] = (

@@ -57,6 +57,10 @@ class EraseOptions:
         None closes seams exactly. Then each seam edge can carry no more than one quadratic wherever its two sides
         cross texel lines at different places; a finite weight (1e8: about a hundredth of an 8-bit step is left) keeps
         finer detail along long straight seams.
+    jump_limit : float or None
+        With a finite seam weight: the jump, in the texture's unit, that solutions may have, so that detail is given up
+        only as far as it must be: below the limit a jump costs nothing. Met to about a third of it. None: no limit,
+        jumps cost what `seam_weight` says from zero on.
     """
 
     weights: Weights = LOCAL
@@ -64,6 +68,7 @@ class EraseOptions:
     joined: NDArray[np.bool_] | None = None
     repeat: bool = False
     seam_weight: float | None = None
+    jump_limit: float | None = None
 
 
 DEFAULT_OPTIONS = EraseOptions()

@@ -115,7 +115,9 @@ def plan_erasure(
                     matrix = matrix + weight * (rows[name].T @ rows[name])
             return sparse.csr_array(matrix)
 
-        factor = factorise(assemble, to_rows(unknowns, jump_elements(intervals, lengths), len(grid.free)), penalty)
+        jump = jump_elements(intervals, lengths)
+        row_scales = jump[:, :, :4].sum(axis=2).reshape(-1)  # one side's weights sum to one before they are scaled
+        factor = factorise(assemble, to_rows(unknowns, jump, len(grid.free)), row_scales, penalty)
         logger.debug("erase: %d unknowns at %d x %d", len(grid.free), width, height)
     return Eraser(surface, seams, options, region, grid, intervals, lengths, silhouette, factor, rows, scale)
 

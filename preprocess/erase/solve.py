@@ -32,6 +32,9 @@ RELAXATION = 1.7
 BOUND_TOLERANCE_REL = 1e-5
 MAX_BOUND_REPEATS = 150
 
+# Repetitions towards limited jumps: after as many, the worst is a third above its limit and the rest below.
+LIMIT_REPEATS = 10
+
 
 class NotConvergedError(RuntimeError):
     """The seam constraint could not be met to the tolerance asked for."""
@@ -49,6 +52,8 @@ class Factor:
         Makes A + ρ JᵀJ, (U, U) sparse, again: seldom wanted, and large.
     jump : (R, U) sparse
         Seam rows J on the free unknowns.
+    row_scales : (R,) float64
+        Of each row against the jump at its point: the root of the length that it stands for.
     penalty : float
         ρ.
     """
@@ -56,10 +61,13 @@ class Factor:
     lu: cholesky.Factor
     assemble: Callable[[], sparse.csr_array]
     jump: sparse.csr_array
+    row_scales: Floats
     penalty: float
 
 
-def factorise(assemble: Callable[[], sparse.csr_array], jump: sparse.csr_array, penalty: float) -> Factor:
+def factorise(
+    assemble: Callable[[], sparse.csr_array], jump: sparse.csr_array, row_scales: Floats, penalty: float
+) -> Factor:
     """Factor A + ρ JᵀJ once for all channels and repetitions.
 
     Parameters
@@ -68,10 +76,12 @@ def factorise(assemble: Callable[[], sparse.csr_array], jump: sparse.csr_array, 
         Returns A + ρ JᵀJ, (U, U) sparse, symmetric positive definite.
     jump : (R, U) sparse
         J.
+    row_scales : (R,) float64
+        See `Factor`.
     penalty : float
         ρ.
     """
-    return Factor(factor_symmetric(_by_columns(assemble())), assemble, jump, penalty)
+    return Factor(factor_symmetric(_by_columns(assemble())), assemble, jump, row_scales, penalty)
 
 
 def _by_columns(matrix: sparse.csr_array) -> sparse.csc_array:
@@ -116,6 +126,42 @@ def solve_change(factor: Factor, force: Floats, jump_before: Floats, tolerance: 
     raise NotConvergedError(
         f"seam energy {seam_energy.max():.1e} after {MAX_REPEATS} repetitions, wanted {tolerance:.1e}"
     )
+
+
+def solve_limited(factor: Factor, force: Floats, jump_before: Floats, limit: Floats) -> tuple[Floats, Floats, Floats]:
+    """Solve for the change of every channel with jumps that cost nothing up to a limit.
+
+    The alternating direction method of multipliers (Boyd et al. 2011, section 5.2) on the seam rows: solutions whose
+    jump is pulled to a goal alternate with clipping the jump to the limit, the same factor throughout.
+
+    Parameters
+    ----------
+    factor : Factor
+    force : (U, C) float64
+        b.
+    jump_before : (R, C) float64
+        J p0.
+    limit : (C,) float64
+        Largest jump at a point.
+
+    Returns
+    -------
+    change : (U, C) float64
+    seam_energy : (C,) float64
+        |J p|² of the solution.
+    goal : (R, C) float64
+        What the jump of this solution is pulled to instead of to zero.
+    """
+    most = factor.row_scales[:, None] * limit
+    allowed, dual = np.zeros_like(jump_before), np.zeros_like(jump_before)
+    for _ in range(LIMIT_REPEATS):
+        goal = allowed - dual
+        change = factor.lu.solve(force - factor.jump.T @ (factor.penalty * (jump_before - goal)))
+        jump = jump_before + factor.jump @ change
+        relaxed = RELAXATION * jump + (1 - RELAXATION) * allowed
+        allowed = np.clip(relaxed + dual, -most, most)
+        dual += relaxed - allowed
+    return change, np.einsum("rc,rc->c", jump, jump), goal
 
 
 def solve_bounded(
