@@ -149,7 +149,7 @@ def slow_quadrics(engine_links: np.ndarray, num_faces: int, xyz: Floats, uv: Flo
 @pytest.mark.parametrize("name", ["square", "box", "strips", "tube"])
 def test_face_quadrics_against_dense_matrices(name: str) -> None:
     mesh = make_engine(SURFACES[name], DecimateOptions()).mesh
-    num_faces = len(mesh.orientation)
+    num_faces = len(mesh.faces)
     quick = np.zeros_like(mesh.quadric)
     accumulate_faces(
         mesh.links, num_faces, mesh.xyz, mesh.uv, 0.3, BOUNDARY_WEIGHT, quick, np.zeros((3, 5)), np.zeros((2, 5))

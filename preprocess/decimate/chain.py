@@ -25,6 +25,8 @@ log = logging.getLogger(__name__)
 
 # A level that would save less than this share of the one before is not worth its bytes.
 MIN_SAVING_REL = 0.2
+# Levels with at most this share of the faces are polished; above it witnesses are too few to tell more than quadrics.
+POLISH_BELOW_REL = 0.3
 # The run may stop this far above the floor that the charts' corners set.
 NEAR_FLOOR_REL = 1.5
 # No relaxed level whose error is this share of the longest extent: where it were used, the character is two pixels.
@@ -89,6 +91,9 @@ def decimate_to(
     check_target(target_faces, len(surface.faces))
     engine = make_engine(surface, options or DecimateOptions(), position_texture, poses)
     engine.run_to(target_faces)
+    if engine.num_faces > target_faces:
+        engine.polish()
+        engine.run_to(target_faces)  # turned edges may have made room
     stopped = engine.num_faces > target_faces
     blocked = engine.blocked() if stopped else {}
     return Chain(
@@ -173,9 +178,9 @@ def _relaxed_attempt(engine: Engine, error_m: float, target: int, options: Decim
     copy = engine.copy()
     copy.relax(options.relaxed_px * error_m / engine.metres_per_uv)
     copy.run_to(target)
-    if copy.num_faces <= target or not options.drop_parts:
-        return _Attempt(copy, 0, 0.0)
-    return _Attempt(copy, *copy.drop_parts(error_m, target))
+    dropped = copy.drop_parts(error_m, target) if copy.num_faces > target and options.drop_parts else (0, 0.0)
+    copy.polish()
+    return _Attempt(copy, *dropped)
 
 
 def _relaxed_levels(
@@ -265,6 +270,9 @@ def decimate(
     for position, target in enumerate(targets):
         before = engine.copy() if lods and target < near_floor else None
         engine.run_to(target)
+        if engine.num_faces <= POLISH_BELOW_REL * len(surface.faces):
+            engine.polish()
+            engine.run_to(target)  # where it was stuck, turned edges may have made room
         last_error = lods[-1].error_m if lods else 0.0
         if not lods or options.ratios is not None or engine.num_faces <= (1 - MIN_SAVING_REL) * lods[-1].num_faces:
             lods.append(_measured(reference, engine.snapshot(), last_error))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from preprocess.decimate.departure import hand_over_collapse, largest_departure
 from preprocess.decimate.heap import heap_remove, heap_set
 from preprocess.decimate.jit import SOURCES, entry, helper
 from preprocess.decimate.placement import best_cost, joint_line, pose_position, propose
@@ -22,6 +23,7 @@ from preprocess.decimate.rules import (
     LINK,
     NUM_BLOCKED,
     OUT,
+    PEAK,
     POINT_ROW,
     POSE_QUADRIC,
     POSE_ROTATION,
@@ -31,6 +33,7 @@ from preprocess.decimate.rules import (
     SEAM_TOLERANCE,
     SILHOUETTES,
     VERSION,
+    WEIGHED,
     corner_deviation,
     is_silhouette,
     orient,
@@ -45,6 +48,7 @@ from preprocess.decimate.validity import link_holds, placement_holds
 def price(m, h):
     """Put an edge into the heap at its cost, or take it out where the table forbids it."""
     item = min(h, m.links[h, TWIN])
+    m.links[item, WEIGHED] = 0
     rule, kept, free_ends = orient(m, item)
     if rule != ALLOWED:
         heap_remove(m.heap_cost, m.heap_item, m.links, m.counter, item)
@@ -150,6 +154,8 @@ def collapse(m, h, row, free_ends):
     a0, a1, b0, b1 = m.links[h, WEDGE], m.links[tn, WEDGE], m.links[hn, WEDGE], m.links[t, WEDGE]
     if is_silhouette(m.links, h):
         _spread_deviation(m, h, free_ends)
+    if m.settings[PEAK] > 0.0:
+        hand_over_collapse(m, h, row)
     unblock_around(m, a, FORGET)
     unblock_around(m, b, FORGET)
     for e in (h, hn, hp, tn, tp):
@@ -186,7 +192,7 @@ def collapse(m, h, row, free_ends):
     m.vertices[m.links[from_d, TAIL], OUT] = from_d
     if m.vertices[b, SILHOUETTES] > 2:
         m.vertices[a, SILHOUETTES] += m.vertices[b, SILHOUETTES] - 2
-    num_faces = len(m.orientation)
+    num_faces = len(m.faces)
     for e in (h, hn, hp, t, tn, tp):
         m.links[e, TWIN] = -1
         m.links[e, TAIL] = -1
@@ -233,6 +239,20 @@ def attempt(m, h, free_ends):
 
 
 @helper
+def _weigh(m, item, h, candidate):
+    """Cost of an edge that is the cheapest by quadrics: no less than its largest departure over an average star.
+
+    An edge whose cost says so already costs nothing more.
+    """
+    if not m.settings[PEAK] > 0.0:
+        return candidate[0]
+    if m.links[item, WEIGHED] != 0:
+        return 0.0
+    m.links[item, WEIGHED] = 1
+    return max(candidate[0], m.settings[PEAK] / m.counter[FACES_LEFT] * largest_departure(m, h, candidate))
+
+
+@helper
 def _census(m, counts):
     """Count the edges that are left by what stands against their collapse."""
     for h in range(len(m.links)):
@@ -252,8 +272,8 @@ def _make_run(sources: int) -> Any:
     def run(m, target, max_cost, counts):
         """Collapse the cheapest edges until `target` faces are left, the next costs too much, or none is legal.
 
-        An edge whose cheapest placement folds the mesh goes back into the heap at the cost of the cheapest sound one;
-        one with none waits until a collapse nearby.
+        An edge whose cheapest placement folds the mesh, or departs far from a witness, goes back into the heap at
+        the cost of the cheapest sound one; one with none waits until a collapse nearby.
 
         Parameters
         ----------
@@ -278,8 +298,10 @@ def _make_run(sources: int) -> Any:
             best = attempt(m, h, free_ends)
             if best < 0:
                 block(m, item)
-            elif m.counter[HEAP_SIZE] > 0 and m.work[best, 0] > m.heap_cost[0]:
-                heap_set(m.heap_cost, m.heap_item, m.links, m.counter, item, m.work[best, 0])
+                continue
+            cost = _weigh(m, item, h, m.work[best])
+            if m.counter[HEAP_SIZE] > 0 and cost > m.heap_cost[0]:
+                heap_set(m.heap_cost, m.heap_item, m.links, m.counter, item, cost)
             else:
                 collapse(m, h, m.work[best], free_ends)
         if len(counts) > 0:

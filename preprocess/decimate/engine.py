@@ -12,12 +12,15 @@ from scipy.sparse.csgraph import connected_components
 
 from preprocess.decimate import rules
 from preprocess.decimate.collapse import run
+from preprocess.decimate.departure import CORNERS, CORNERS_STRIDE
 from preprocess.decimate.floor import count_floor
 from preprocess.decimate.lod import DecimateOptions, Lod, Repairs, Strictness
+from preprocess.decimate.polish import polish
 from preprocess.decimate.quadrics import SIZE, accumulate_faces
 from preprocess.decimate.rules import Mesh
 from preprocess.decimate.topology import TAIL, TWIN, WEDGE, HalfEdges, build_half_edges
 from preprocess.decimate.vertex_cache import reorder
+from preprocess.decimate.witnesses import Witnesses, choose_poses, make_witnesses, no_witnesses
 from preprocess.mesh import Floats, TexturedSurface
 from preprocess.texels import sample_bilinear
 
@@ -29,6 +32,10 @@ MIN_UV_HEIGHT = 4e-7
 MIN_SHAPE = 1e-3
 # How much an open boundary resists, against a strip of surface as wide as the boundary edge is long.
 BOUNDARY_WEIGHT = 1.0
+# Faces around one collapse that are looked at for their witnesses; more leave them unheard.
+FAN_SIZE = 256
+# Times every edge and vertex is tried when a level is polished.
+POLISH_SWEEPS = 2
 
 _STRICT = {
     Strictness.NONE: rules.STRICT_NONE,
@@ -48,6 +55,33 @@ def _pose_quadrics(posed: Floats, faces: NDArray[np.int64]) -> Floats:
     terms = weights[:, None] * planes[:, rows] * planes[:, columns]
     sums = [np.bincount(faces.ravel(), np.repeat(term, 3), len(posed)) for term in terms.T]
     return np.stack(sums, axis=1)
+
+
+def _posed(matrices: Floats, xyz: Floats, centre: Floats, scale: float) -> Floats:
+    """Normalised positions in each pose, (P, V, 3)."""
+    metres = np.einsum("pvij,vj->pvi", matrices[..., :3], xyz * scale + centre) + matrices[..., 3]
+    return (metres - centre) / scale
+
+
+def _pose(
+    half_edges: HalfEdges,
+    uv: Floats,
+    xyz: Floats,
+    centre: Floats,
+    scale: float,
+    poses: NDArray[np.floating] | None,
+    watched: bool,
+) -> tuple[Floats, Witnesses]:
+    """Matrices of the vertices in each pose (P, V, 3, 4), those that witnesses follow first; and the witnesses."""
+    matrices = np.zeros((0, len(xyz), 3, 4)) if poses is None else np.asarray(poses, np.float64)
+    matrices = matrices[:, half_edges.vertex_source] if len(matrices) else matrices
+    if not watched:
+        return matrices, no_witnesses(half_edges.num_faces)
+    posed = _posed(matrices, xyz, centre, scale)
+    chosen = choose_poses(posed, xyz, half_edges.tail[: 3 * half_edges.num_faces].reshape(-1, 3))
+    others = np.setdiff1d(np.arange(len(matrices)), chosen)
+    witnesses = make_witnesses(half_edges, uv, np.concatenate([xyz[None], posed[chosen]]))
+    return matrices[np.r_[chosen, others]], witnesses
 
 
 @dataclass(frozen=True)
@@ -97,8 +131,18 @@ class Engine:
 
     def relax(self, tolerance_uv: float) -> None:
         """Let seams stray that far from their lines from now on, and look at every edge again."""
+        self.mesh.settings[rules.SEAM_TOLERANCE] = tolerance_uv
+        self._forget_prices()
+
+    def polish(self) -> None:
+        """Turn edges and slide vertices inside the charts to where the surface is nearer to the full mesh."""
+        if not self.mesh.settings[rules.PEAK] > 0.0:
+            return  # nobody to say what is better
+        polish(self.mesh, POLISH_SWEEPS, np.zeros(2, np.int64))
+        self._forget_prices()
+
+    def _forget_prices(self) -> None:
         mesh = self.mesh
-        mesh.settings[rules.SEAM_TOLERANCE] = tolerance_uv
         mesh.links[:, rules.PLACE] = -1
         mesh.links[:, rules.BLOCKED] = 0
         mesh.vertices[:, rules.NUM_BLOCKED] = 0
@@ -237,9 +281,13 @@ def make_engine(
     settings[rules.MIN_NORMAL_DOT] = MIN_NORMAL_DOT
     settings[rules.MIN_UV_HEIGHT] = MIN_UV_HEIGHT * min(extent_uv, 1.0)
     settings[rules.MIN_SHAPE] = MIN_SHAPE
-    links = np.full((num_half_edges, 5), -1, np.int64)
+    corners = half_edges.tail[: 3 * num_faces].reshape(-1, 3)
+    matrices, witnesses = _pose(half_edges, uv, xyz, centre, scale, poses, options.peak_weight > 0.0)
+    # Two wedges' quadrics have four faces' area between them, in each pose.
+    settings[rules.PEAK] = options.peak_weight * 2.0 * float(area2) * (1 + len(matrices))
+    links = np.full((num_half_edges, 6), -1, np.int64)
     links[:, TAIL], links[:, WEDGE], links[:, TWIN] = half_edges.tail, half_edges.wedge, half_edges.twin
-    links[:, rules.BLOCKED] = 0
+    links[:, rules.BLOCKED] = links[:, rules.WEIGHED] = 0
     vertices = np.zeros((num_vertices + 1, 4), np.int64)
     vertices[:, rules.OUT], vertices[:, rules.SILHOUETTES] = half_edges.out, half_edges.num_silhouettes
     counter = np.zeros(8, np.int64)
@@ -247,7 +295,6 @@ def make_engine(
     if position_texture is not None:
         first_corner = np.unique(half_edges.tail[: 3 * num_faces], return_index=True)[1]
         xyz = sample_bilinear(texture, uv[half_edges.wedge[first_corner]])
-    corners = half_edges.tail[: 3 * num_faces].reshape(-1, 3)
     mesh = Mesh(
         links=links,
         vertices=vertices,
@@ -255,24 +302,22 @@ def make_engine(
         uv=uv,
         quadric=np.zeros((len(uv), SIZE)),
         deviation=np.zeros(num_half_edges),
-        orientation=np.where(uv_area2 < 0, -1, 1),
+        faces=np.c_[np.where(uv_area2 < 0, -1, 1), witnesses.faces],
         texture=np.ascontiguousarray(texture, np.float64),
-        pose=np.zeros((num_vertices, 0 if poses is None else len(poses), rules.POSE_SIZE)),
-        work=np.zeros((16, 8)),
-        ten=np.zeros(10),
+        pose=np.zeros((num_vertices, len(matrices), rules.POSE_SIZE)),
+        work=np.zeros((24, 10)),
         settings=settings,
         counter=counter,
         heap_cost=np.zeros(num_half_edges),
         heap_item=np.zeros(num_half_edges, np.int64),
+        points=witnesses.points,
+        witnesses=np.c_[witnesses.following, np.zeros((len(witnesses.points), 2), np.int64)],
+        fan=np.zeros((FAN_SIZE, CORNERS + CORNERS_STRIDE * (1 + len(matrices)))),
     )
-    if poses is not None:
-        matrices = np.asarray(poses, np.float64)[:, half_edges.vertex_source]
-        for p, matrix in enumerate(matrices):
-            posed = np.einsum("vij,vj->vi", matrix[..., :3], xyz * scale + centre) + matrix[..., 3]
-            posed = (posed - centre) / scale
-            mesh.pose[:, p, : rules.POSE_ROTATION] = posed
-            mesh.pose[:, p, rules.POSE_ROTATION : rules.POSE_QUADRIC] = matrix[..., :3].reshape(-1, 9)
-            mesh.pose[:, p, rules.POSE_QUADRIC :] = _pose_quadrics(posed, corners)
+    for p, (matrix, posed) in enumerate(zip(matrices, _posed(matrices, xyz, centre, scale), strict=True)):
+        mesh.pose[:, p, : rules.POSE_ROTATION] = posed
+        mesh.pose[:, p, rules.POSE_ROTATION : rules.POSE_QUADRIC] = matrix[..., :3].reshape(-1, 9)
+        mesh.pose[:, p, rules.POSE_QUADRIC :] = _pose_quadrics(posed, corners)
     accumulate_faces(
         mesh.links,
         num_faces,

@@ -35,6 +35,7 @@ from preprocess.decimate.rules import (
     POINT_ROW,
     POSE_QUADRIC,
     POSE_ROTATION,
+    QUADRIC_ROW,
     SEAM_TOLERANCE,
     SILHOUETTES,
     STRICT,
@@ -120,7 +121,7 @@ def pose_cost(pose, xyz, a, b, x, y, z, point):
 @helper
 def _add_candidate(m, n, h, x, y, z, u0, v0, u1, v1):
     """Write candidate n with the cost that the held quadrics and the poses give it; returns n + 1."""
-    cost = evaluate_position(m.ten, FIRST, x, y, z)
+    cost = evaluate_position(m.work[QUADRIC_ROW], FIRST, x, y, z)
     if m.pose.shape[1] > 0:
         a, b = m.links[h, TAIL], m.links[m.links[h, TWIN], TAIL]
         cost += pose_cost(m.pose, m.xyz, a, b, x, y, z, m.work[POINT_ROW])
@@ -138,12 +139,12 @@ def _add_free(m, n, h, x, y, z, u0, v0, u1, v1):
         point = m.work[POINT_ROW]
         draw_position(m.texture, u0, v0, point)
         x, y, z = point[0], point[1], point[2]
-    clear(m.ten)
+    clear(m.work[QUADRIC_ROW])
     scale = m.settings[UV_SCALE]
     left, right = m.links[h, WEDGE], m.links[next_of(t), WEDGE]
-    hold_end(m.links, m.quadric, m.ten, left, right, u0, v0, u1, v1, scale)
+    hold_end(m.links, m.quadric, m.work[QUADRIC_ROW], left, right, u0, v0, u1, v1, scale)
     left, right = m.links[next_of(h), WEDGE], m.links[t, WEDGE]
-    hold_end(m.links, m.quadric, m.ten, left, right, u0, v0, u1, v1, scale)
+    hold_end(m.links, m.quadric, m.work[QUADRIC_ROW], left, right, u0, v0, u1, v1, scale)
     return _add_candidate(m, n, h, x, y, z, u0, v0, u1, v1)
 
 
@@ -197,7 +198,7 @@ def _propose_fixed(m, h, full):
     w0 = wa0 if wa0 >= 0 else wa1
     w1 = wa1 if wa1 >= 0 else wa0
     u0, v0, u1, v1 = m.uv[w0, 0], m.uv[w0, 1], m.uv[w1, 0], m.uv[w1, 1]
-    q, s = m.ten, m.work
+    q, s = m.work[QUADRIC_ROW], m.work
     clear(q)
     hold_vertex(m.links, m.uv, m.quadric, q, h, scale)
     if m.vertices[m.links[t, TAIL], SILHOUETTES] > 2:

@@ -44,9 +44,11 @@ STRICT_NONE, STRICT_SHAPE, STRICT_SEAMLESS = 0, 1, 2
 
 # Columns of Mesh.vertices, and those of Mesh.links after topology's.
 OUT, SILHOUETTES, NUM_BLOCKED, MARK = 0, 1, 2, 3
-PLACE, BLOCKED = 3, 4
+PLACE, BLOCKED, WEIGHED = 3, 4, 5
 POSE_ROTATION, POSE_QUADRIC, POSE_SIZE = 3, np.int64(12), 22
-POINT_ROW = 14  # of Mesh.work
+QUADRIC_ROW, POINT_ROW, WEIGHTS_ROW, APEX_ROW = 13, 14, 15, 16  # of Mesh.work
+SIGN, CHART, FIRST_WITNESS = 0, 1, 2  # of Mesh.faces
+FOLLOWING, GATHERED, ITS_CHART = 0, 1, 2  # of Mesh.witnesses
 
 # Which placements to propose, and whether unblocked edges go back into the heap (NumPy integers: see quadrics.py).
 BEST, ALL = np.int64(0), np.int64(1)
@@ -60,9 +62,10 @@ class Mesh(NamedTuple):
 
     Attributes
     ----------
-    links : (3 F', 5) int64
-        Columns TAIL, WEDGE, TWIN (see topology.HalfEdges), PLACE (of an edge in the heap, -1 for none) and BLOCKED
-        (1 where an edge was tried, found invalid and waits for its surroundings to change).
+    links : (3 F', 6) int64
+        Columns TAIL, WEDGE, TWIN (see topology.HalfEdges), PLACE (of an edge in the heap, -1 for none), BLOCKED
+        (1 where an edge was tried, found invalid and waits for its surroundings to change) and WEIGHED (1 where its
+        cost takes the witnesses into account).
     vertices : (V + 1, 4) int64
         Columns OUT, SILHOUETTES (see topology.HalfEdges), NUM_BLOCKED (such edges at the vertex), MARK (scratch of
         the link condition). The virtual vertex is the last.
@@ -71,20 +74,25 @@ class Mesh(NamedTuple):
     quadric : (W, 21) float64
     deviation : (3 F',) float64
         uv distance by which the line that a silhouette edge stands for strays from it.
-    orientation : (F,) int64
-        Sign of each real face's uv area.
+    faces : (F, 3) int64
+        Of each real face: SIGN of its uv area, CHART, FIRST_WITNESS over it (-1 for none).
     texture : (H, W, 3) float64
         Positions drawn at a uv, or (0, 0, 3).
     pose : (V, P, 22) float64
         A vertex in each pose: position (3), rotation (9), position quadric (10).
-    work : (16, 8) float64
-        Scratch: candidates in the first 8 rows, the small linear system in rows 8 to 12, a point in row 14.
-    ten : (10,) float64
-        Scratch: a position quadric.
+    work : (24, 10) float64
+        Scratch: candidates in the first 8 rows, the small linear system in rows 8 to 12, a position quadric in row
+        13, a point in row 14, weights in row 15, a vertex in each pose of the witnesses from row 16 on.
     settings : (8,) float64, counter : (8,) int64
         See the slots below.
     heap_cost : (3 F',) float64, heap_item : (3 F',) int64
         See heap.py.
+    points : (S, 3 + 6 Q) float64
+        See witnesses.py. Pose q > 0 of the witnesses is pose q - 1 of `pose`.
+    witnesses : (S, 3) int64
+        The one FOLLOWING over the same face (-1 for none); scratch: a list of those GATHERED, ITS_CHART of each.
+    fan : (N, 9 + 9 Q) float64
+        Scratch: see departure.py.
     """
 
     links: NDArray[np.int64]
@@ -93,19 +101,21 @@ class Mesh(NamedTuple):
     uv: NDArray[np.float64]
     quadric: NDArray[np.float64]
     deviation: NDArray[np.float64]
-    orientation: NDArray[np.int64]
+    faces: NDArray[np.int64]
     texture: NDArray[np.float64]
     pose: NDArray[np.float64]
     work: NDArray[np.float64]
-    ten: NDArray[np.float64]
     settings: NDArray[np.float64]
     counter: NDArray[np.int64]
     heap_cost: NDArray[np.float64]
     heap_item: NDArray[np.int64]
+    points: NDArray[np.float64]
+    witnesses: NDArray[np.int64]
+    fan: NDArray[np.float64]
 
 
 # Slots of Mesh.settings and Mesh.counter.
-UV_SCALE, SEAM_TOLERANCE, STRICT, MIN_NORMAL_DOT, MIN_UV_HEIGHT, MIN_SHAPE = 0, 1, 2, 3, 4, 5
+UV_SCALE, SEAM_TOLERANCE, STRICT, MIN_NORMAL_DOT, MIN_UV_HEIGHT, MIN_SHAPE, PEAK = 0, 1, 2, 3, 4, 5, 6
 FACES_LEFT, STAMP, COLLAPSES, HEAP_SIZE, PRICED, VERSION = 0, 1, 2, 3, 4, 5
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from preprocess.decimate.jit import helper
-from preprocess.decimate.rules import MARK, MIN_NORMAL_DOT, MIN_SHAPE, MIN_UV_HEIGHT, STAMP, is_silhouette
+from preprocess.decimate.rules import MARK, MIN_NORMAL_DOT, MIN_SHAPE, MIN_UV_HEIGHT, SIGN, STAMP, is_silhouette
 from preprocess.decimate.topology import TAIL, TWIN, WEDGE, next_of, previous_of
 
 
@@ -89,7 +89,7 @@ def position_stays(xyz, a, b, c, x, y, z, min_dot, min_shape):
 
 
 @helper
-def star_stays(links, xyz, uv, orientation, settings, row, h, start):
+def star_stays(links, xyz, uv, faces, settings, row, h, start):
     """Whether the surviving faces around one end of edge h stay sound when it goes to a placement.
 
     Corners of the wedges on the left of h take the row's first uv, those on the right the second, others keep theirs.
@@ -106,7 +106,7 @@ def star_stays(links, xyz, uv, orientation, settings, row, h, start):
                 u, v = row[4], row[5]
             elif w in (a1, b1):
                 u, v = row[6], row[7]
-            if not uv_stays(uv, w, links[n, WEDGE], links[p, WEDGE], u, v, orientation[f], min_height):
+            if not uv_stays(uv, w, links[n, WEDGE], links[p, WEDGE], u, v, faces[f, SIGN], min_height):
                 return False
             a, b, c = links[g, TAIL], links[n, TAIL], links[p, TAIL]
             if not position_stays(xyz, a, b, c, row[1], row[2], row[3], min_dot, min_shape):
@@ -119,7 +119,5 @@ def star_stays(links, xyz, uv, orientation, settings, row, h, start):
 @helper
 def placement_holds(m, h, row):
     """Whether one candidate for edge h folds or degenerates nothing."""
-    for start in (m.links[h, TWIN], h):
-        if not star_stays(m.links, m.xyz, m.uv, m.orientation, m.settings, row, h, start):
-            return False
-    return True
+    around_end = star_stays(m.links, m.xyz, m.uv, m.faces, m.settings, row, h, m.links[h, TWIN])
+    return around_end and star_stays(m.links, m.xyz, m.uv, m.faces, m.settings, row, h, h)
