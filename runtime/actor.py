@@ -14,7 +14,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from runtime.bounds import JointBoxes
+from runtime.bounds import JointBoxes, box_around
 from runtime.clip import Clip
 from runtime.mixer import Mixer
 
@@ -295,6 +295,8 @@ class ActorBatch:
     joint_rows : (A, J, 3, 4) float32, contiguous
     bounds : (A, 2, 3) float32
         Box of each actor's pose, object space.
+    parts : two (A, P, 3) float32
+        Middles and reaches of boxes, one a joint that moves anything, in whose convex hull the pose lies.
     tints : (A, 4) float32
     """
 
@@ -302,6 +304,7 @@ class ActorBatch:
     transforms: NDArray[np.float64]
     joint_rows: Floats
     bounds: Floats
+    parts: tuple[Floats, Floats]
     tints: NDArray[np.float32]
 
 
@@ -334,11 +337,18 @@ def gather(actors: Iterable[Actor]) -> list[tuple[Any, ActorBatch]]:
         group = tuple(listed[index] for index in members)
         model = group[0].model
         rows = model.mixer.joint_rows([actor.row for actor in group])
+        parts = carrier_of(model).carried(rows)
+        bounds = np.zeros((len(rows), 2, 3), rows.dtype)
+        if parts[0].shape[1]:
+            box_around(*parts, out=bounds)
+        else:
+            parts = (np.zeros((len(rows), 1, 3), rows.dtype),) * 2
         batch = ActorBatch(
             actors=group,
             transforms=transforms[members],
             joint_rows=rows,
-            bounds=carrier_of(model).around(rows),
+            bounds=bounds,
+            parts=parts,
             tints=np.array([actor._tint for actor in group]),
         )
         batches.append((model, batch))

@@ -101,21 +101,25 @@ class JointBoxes:
         self._single = centres.astype(np.float32), halves.astype(np.float32)
 
     def carried(self, matrices: Floats) -> tuple[Floats, Floats]:
-        """Lower and upper corners of every used joint's box, carried by (A, J, 3, 4) matrices: (A, J used, 3) each."""
+        """Middle and reach of every used joint's box, carried by (A, J, 3, 4) matrices: (A, J used, 3) each."""
         kept = matrices if self.used is None else matrices[:, self.used]
         centres, halves = self._single if matrices.dtype == np.float32 else self._exact
         middle = np.einsum("ajrc,jc->ajr", kept, centres)
         reach = np.einsum("ajrc,jc->ajr", np.abs(kept[..., :3]), halves)
-        return middle - reach, middle + reach
+        return middle, reach
 
     def around(self, matrices: Floats) -> Floats:
         """Box of the skinned mesh of each pose, (A, 2, 3); zeros where no joint moves anything."""
         result = np.zeros((len(matrices), 2, 3), matrices.dtype)
         if len(self._exact[0]):
-            low, high = self.carried(matrices)
-            low.min(axis=1, out=result[:, 0])
-            high.max(axis=1, out=result[:, 1])
+            box_around(*self.carried(matrices), out=result)
         return result
+
+
+def box_around(middles: Floats, reaches: Floats, out: Floats) -> None:
+    """Fill boxes (A, 2, 3) with what holds all of (A, J, 3) boxes given by middle and reach."""
+    (middles - reaches).min(axis=1, out=out[:, 0])
+    (middles + reaches).max(axis=1, out=out[:, 1])
 
 
 def pose_bounds(matrices: Floats, boxes: NDArray[np.float64]) -> Floats:
@@ -286,8 +290,12 @@ def clip_bounds(skeleton: Skeleton, clip: Clip, boxes: NDArray[np.float64]) -> N
     box, carrier = np.zeros((2, 3)), JointBoxes(boxes)
     for doubling in range(_MAX_DOUBLINGS + 1):
         starts, ends = _sample_times(clip, 2**doubling)
-        first = np.stack(carrier.carried(skinning_rows(skeleton, sample(clip, skeleton, starts))), axis=2)
-        last = np.stack(carrier.carried(skinning_rows(skeleton, sample(clip, skeleton, ends))), axis=2)
+        first, last = (
+            np.stack([middle - reach, middle + reach], axis=2)
+            for middle, reach in (
+                carrier.carried(skinning_rows(skeleton, sample(clip, skeleton, times))) for times in (starts, ends)
+            )
+        )
         accelerations, radii = _accelerations(skeleton, clip, (starts + ends) / 2, reaches)
         stray = np.minimum((ends - starts) ** 2 / 8 * accelerations, 2 * radii)[used].T[:, :, None]
         # Left limits are taken one rounding step early, and sums round: a hair covers both.

@@ -58,26 +58,21 @@ class CameraMatrices:
         View to clip space, OpenGL's depth from -1 to 1.
     clip_from_world : (4, 4) float64
         World axes with the origin at the eye to clip space.
-    probes : (9, 4) float64
-        Nine linear functions of a point seen from the eye: six that are negative beyond a side of the view, then the
-        point's depth and its places along the view's two other axes.
+    sides : (6, 4) float64
+        Linear functions of a point seen from the eye that are negative beyond a side of the view.
     """
 
     eye: NDArray[np.float64]
     rotation: Matrix
     projection: Matrix
     clip_from_world: Matrix = field(init=False)
-    probes: Matrix = field(init=False)
+    sides: Matrix = field(init=False)
 
     def __post_init__(self) -> None:
-        clip, probes = self.projection.copy(), np.zeros((9, 4))
+        clip = self.projection.copy()
         clip[:, :3] = self.projection[:, :3] @ self.rotation
-        np.add(clip[3], clip[:3], out=probes[:3])
-        np.subtract(clip[3], clip[:3], out=probes[3:6])
-        probes[6, :3] = -self.rotation[2]
-        probes[7:, :3] = self.rotation[:2]
         object.__setattr__(self, "clip_from_world", clip)
-        object.__setattr__(self, "probes", probes)
+        object.__setattr__(self, "sides", np.concatenate([clip[3] + clip[:3], clip[3] - clip[:3]]))
 
     @property
     def is_perspective(self) -> bool:

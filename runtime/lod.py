@@ -56,57 +56,70 @@ class Quality:
 
 
 @dataclass(frozen=True)
-class Sight:
-    """What a camera sees of some boxes.
+class Bodies:
+    """Where actors are, each with a box of its own and parts in whose convex hull it lies.
 
     Attributes
     ----------
-    visible : (A,) bool
-        False where a box lies wholly beyond one side of the view.
-    pixels_a_metre : (A,) float64
-        Largest size in pixels that a displacement of one metre, object space, can have in the picture; infinite where
-        the camera's plane cuts the box.
+    boxes : (A, 2, 3) float
+        Object space.
+    parts : two (A, P, 3) float
+        Middles and reaches of the parts' boxes, object space.
+    transforms : (A, 4, 4) float64
+        Object space to world.
     """
 
-    visible: NDArray[np.bool_]
-    pixels_a_metre: NDArray[np.float64]
+    boxes: Floats
+    parts: tuple[Floats, Floats]
+    transforms: NDArray[np.float64]
 
 
-def look_at(boxes: Floats, transforms: NDArray[np.float64], camera: CameraMatrices, size_px: tuple[int, int]) -> Sight:
-    """See which boxes are in view, and how large a metre of each can be on the screen.
+def in_view(bodies: Bodies, camera: CameraMatrices) -> NDArray[np.bool_]:
+    """False where an actor's box lies wholly beyond one side of the view, (A,)."""
+    linear = bodies.transforms[:, :3, :3]
+    half = (bodies.boxes[:, 1] - bodies.boxes[:, 0]) * 0.5
+    centre = bodies.boxes[:, 0] + half
+    sides = camera.sides[:, :3] @ linear
+    reach = (np.abs(sides) * half[:, None]).sum(axis=2)
+    origin = (bodies.transforms[:, :3, 3] - camera.eye) @ camera.sides[:, :3].T + camera.sides[:, 3]
+    inside: NDArray[np.bool_] = ((sides * centre[:, None]).sum(axis=2) + reach + origin >= 0.0).all(axis=1)
+    return inside
+
+
+def pixels_a_metre(bodies: Bodies, camera: CameraMatrices, size_px: tuple[int, int]) -> NDArray[np.float64]:
+    """Largest size in pixels that a displacement of one metre (object space) of each actor can have in the picture.
 
     A displacement `d` at view depth `z`, seen at an angle `t` off the axis, covers at most `d f / (z cos t)` pixels,
     with `f` the focal length in pixels: across the axis it covers `d f / z`, along it `d tan(t) f / z`. Depth and
-    angle are bounded by the turned box's own reach along the view's axes.
+    `tan(t)` of a convex hull are bounded by those of its parts.
 
     Parameters
     ----------
-    boxes : (A, 2, 3) float
-        Object space.
-    transforms : (A, 4, 4) float64
-        Object space to world.
+    bodies : Bodies
     camera : CameraMatrices
     size_px : width and height of the picture
+
+    Returns
+    -------
+    (A,) float64, infinite where the camera's plane cuts a part
     """
-    linear = transforms[:, :3, :3]
-    half = (boxes[:, 1] - boxes[:, 0]) * 0.5
-    centre = np.matmul(linear, (boxes[:, 0] + half)[:, :, None])[:, :, 0] + transforms[:, :3, 3] - camera.eye
-    probes = camera.probes
-    middle = centre @ probes[:, :3].T + probes[:, 3]
-    reach = np.abs(probes[:, :3] @ (linear * half[:, None])).sum(axis=2)
-    farthest = middle + reach
-    seen = (farthest[:, :6] >= 0.0).all(axis=1)
+    linear = bodies.transforms[:, :3, :3]
     # The largest stretch of a matrix is at most the root of the largest row sum of its Gram matrix; equal where it
     # turns and scales evenly.
-    scale = np.sqrt(np.abs(linear.transpose(0, 2, 1) @ linear).sum(axis=2).max(axis=1))
-    scale *= camera.focal_px(*size_px)
+    scale = np.sqrt(np.abs(linear.transpose(0, 2, 1) @ linear).sum(axis=2).max(axis=1)) * camera.focal_px(*size_px)
     if not camera.is_perspective:
-        return Sight(seen, scale)
-    nearest = middle[:, 6] - reach[:, 6]
-    aside = np.abs(middle[:, 7:]) + reach[:, 7:]
-    in_front = np.maximum(nearest, 1e-30)
-    off_axis_sq = np.minimum((aside**2).sum(axis=1) / in_front**2, camera.widest_sq)
-    return Sight(seen, np.where(nearest > 0.0, scale * np.sqrt(1.0 + off_axis_sq) / in_front, np.inf))
+        return np.asarray(scale)
+    axes = camera.rotation @ linear
+    middles, reaches = bodies.parts
+    place = middles @ axes.transpose(0, 2, 1)
+    place += ((bodies.transforms[:, :3, 3] - camera.eye) @ camera.rotation.T)[:, None]
+    reach = reaches @ np.abs(axes).transpose(0, 2, 1)
+    depth = -(place[..., 2] + reach[..., 2])
+    aside = np.abs(place[..., :2]) + reach[..., :2]
+    nearest = depth.min(axis=1)
+    tangent_sq = ((aside**2).sum(axis=2) / np.maximum(depth, 1e-30) ** 2).max(axis=1)
+    across = np.sqrt(1.0 + np.minimum(tangent_sq, camera.widest_sq))
+    return np.where(nearest > 0.0, scale * across / np.maximum(nearest, 1e-30), np.inf)
 
 
 def choose_levels(

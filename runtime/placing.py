@@ -17,7 +17,7 @@ from runtime.camera import CameraMatrices
 from runtime.errors import RenderError
 from runtime.gpu_asset import Model
 from runtime.gpu_levels import INSTANCE
-from runtime.lod import Quality, choose_levels, look_at
+from runtime.lod import Bodies, Quality, choose_levels, in_view, pixels_a_metre
 
 if TYPE_CHECKING:
     from runtime.actor import Actor
@@ -109,13 +109,14 @@ def place(
     """
     refuse_broken_poses(model, batch)
     transforms = batch.transforms
-    sight = look_at(batch.bounds, transforms, matrices, wish.size_px)
-    seen, is_auto = sight.visible, wish.tessellation == "auto" and wish.has_tessellation
+    bodies = Bodies(batch.bounds, batch.parts, transforms)
+    scale_px = pixels_a_metre(bodies, matrices, wish.size_px)
+    seen, is_auto = in_view(bodies, matrices), wish.tessellation == "auto" and wish.has_tessellation
     divides = is_auto and wish.lod is None and wish.quality.prefer == "tessellation"
     errors = model.levels.divided_errors_m if divides else model.levels.errors_m
     if wish.lod is None:
         previous = np.array([levels_before.get(actor, -1) for actor in batch.actors])
-        levels = choose_levels(errors, sight.pixels_a_metre, wish.quality.threshold_px, previous)
+        levels = choose_levels(errors, scale_px, wish.quality.threshold_px, previous)
     else:
         levels = np.full(len(batch.actors), wish.lod)
     if not isinstance(wish.tessellation, str):
@@ -123,7 +124,7 @@ def place(
     elif divides:
         tessellated = levels > 0
     elif is_auto and wish.lod:
-        tessellated = np.minimum(sight.pixels_a_metre, 1e300) * errors[levels] > wish.quality.threshold_px
+        tessellated = np.minimum(scale_px, 1e300) * errors[levels] > wish.quality.threshold_px
     else:
         tessellated = np.zeros(len(levels), bool)
     drawn = {}

@@ -19,7 +19,7 @@ from runtime.bounds import pose_bounds
 from runtime.camera import Camera, MatrixCamera
 from runtime.errors import RenderError
 from runtime.gpu_asset import Model
-from runtime.lod import HYSTERESIS, Quality, choose_levels, look_at
+from runtime.lod import HYSTERESIS, Bodies, Quality, choose_levels, in_view, pixels_a_metre
 from runtime.renderer import Renderer
 
 SIDE_PX = 256
@@ -31,6 +31,13 @@ def random_cameras(count: int, seed: int = 5) -> Iterator[Camera]:
     for _ in range(count):
         eye = rng.normal(size=3) * rng.uniform(2, 10)
         yield Camera(tuple(eye), tuple(rng.normal(size=3)), fovy_deg=float(rng.uniform(10, 110)))
+
+
+def bodies_of(boxes: np.ndarray, transforms: np.ndarray | None = None) -> Bodies:
+    """Actors that are their boxes."""
+    half = np.ptp(boxes, axis=1)[:, None] / 2
+    where = np.tile(np.eye(4), (len(boxes), 1, 1)) if transforms is None else transforms
+    return Bodies(boxes, (boxes[:, :1] + half, half), where)
 
 
 def project(points: np.ndarray, camera: Camera, width: int, height: int) -> np.ndarray:
@@ -48,8 +55,8 @@ def test_no_displacement_is_larger_on_the_screen_than_said() -> None:
         transform = np.eye(4)
         transform[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0] * rng.uniform(0.2, 3)
         box = np.sort(rng.normal(size=(1, 2, 3)), axis=1)
-        sight = look_at(box, transform[None], camera.matrices(width, height), (width, height))
-        allowed = sight.pixels_a_metre[0] * metres
+        body = bodies_of(box, transform[None])
+        allowed = pixels_a_metre(body, camera.matrices(width, height), (width, height))[0] * metres
         points = rng.uniform(box[0, 0], box[0, 1], (400, 3))
         moved = points + metres * (steps := rng.normal(size=(400, 3))) / np.linalg.norm(steps, axis=1, keepdims=True)
         a, b = (project(p @ transform[:3, :3].T, camera, width, height) for p in (points, moved))
@@ -67,20 +74,44 @@ def test_boxes_are_seen_and_measured_as_by_their_corners() -> None:
         transform[:3] = rng.normal(size=(3, 4))  # sheared and mirrored too
         box = np.sort(rng.normal(size=(1, 2, 3)), axis=1)
         matrices = camera.matrices(320, 200)
-        sight = look_at(box, transform[None], matrices, (320, 200))
+        body = bodies_of(box, transform[None])
+        scale_px = pixels_a_metre(body, matrices, (320, 200))[0]
         corners = box[0][picks, np.arange(3)] @ transform[:3, :3].T + transform[:3, 3]
         clip = (corners - matrices.eye) @ matrices.clip_from_world[:, :3].T + matrices.clip_from_world[:, 3]
         beyond = [(side * clip[:, axis] > clip[:, 3]).all() for axis in range(3) for side in (1, -1)]
-        assert sight.visible[0] == (not any(beyond))
+        assert in_view(body, matrices)[0] == (not any(beyond))
         depth = -((corners - matrices.eye) @ matrices.rotation[2])
         if depth.min() <= 0:
-            assert np.isinf(sight.pixels_a_metre[0])
+            assert np.isinf(scale_px)
             continue
         stretch = np.linalg.norm(transform[:3, :3], 2)
         straight_on = stretch * matrices.projection[1, 1] * 100 / depth.min()
-        assert straight_on <= sight.pixels_a_metre[0] * (1 + 1e-9)
+        assert straight_on <= scale_px * (1 + 1e-9)
         widest = np.sqrt(1 + matrices.widest_sq) * np.sqrt(3)
-        assert sight.pixels_a_metre[0] <= straight_on * widest * (1 + 1e-9)
+        assert scale_px <= straight_on * widest * (1 + 1e-9)
+
+
+def test_parts_bound_their_hull_and_no_more_than_the_box() -> None:
+    """A body of several parts: its hull's points are measured safely, and closer than by the box around all."""
+    rng = np.random.default_rng(11)
+    tighter = []
+    for camera in random_cameras(60, seed=12):
+        middles, reaches = rng.normal(size=(1, 5, 3)), rng.uniform(0.05, 0.3, (1, 5, 3))
+        box = np.stack([(middles - reaches).min(axis=1), (middles + reaches).max(axis=1)], axis=1)
+        matrices = camera.matrices(320, 200)
+        whole = pixels_a_metre(bodies_of(box), matrices, (320, 200))[0]
+        parts = pixels_a_metre(Bodies(box, (middles, reaches), np.eye(4)[None]), matrices, (320, 200))[0]
+        assert parts <= whole * (1 + 1e-9)
+        tighter.append(parts / whole if np.isfinite(whole) else 1.0)
+        inside = middles[0] + reaches[0] * rng.uniform(-1, 1, (200, 5, 3))
+        points = np.einsum("np,npi->ni", rng.dirichlet(np.ones(5) / 2, 200), inside)
+        steps = rng.normal(size=points.shape)
+        moved = points + 1e-5 * steps / np.linalg.norm(steps, axis=1, keepdims=True)
+        a, b = (project(p, camera, 320, 200) for p in (points, moved))
+        seen = (np.abs(a[:, :2]) < [160, 100]).all(axis=1) & (a[:, 2] > 0)
+        if seen.any() and np.isfinite(parts):
+            assert np.linalg.norm(a[seen, :2] - b[seen, :2], axis=1).max() <= parts * 1e-5 * 1.01
+    assert np.mean(tighter) < 0.97
 
 
 def test_what_is_in_view_is_never_culled() -> None:
@@ -91,19 +122,19 @@ def test_what_is_in_view_is_never_culled() -> None:
         px = project(points, camera, 300, 200)
         shown = ((np.abs(px[:, :2]) < [150, 100]).all(axis=1) & (px[:, 2] > 0)).any()
         if shown:
-            assert look_at(box, np.eye(4)[None], camera.matrices(300, 200), (300, 200)).visible[0]
+            assert in_view(bodies_of(box), camera.matrices(300, 200))[0]
 
 
 def test_what_is_behind_or_aside_is_culled() -> None:
     camera = Camera((0, 0, 5), (0, 0, 0)).matrices(100, 100)
     boxes = np.array([[[-1, -1, -1], [1, 1, 1]], [[-1, -1, 6], [1, 1, 8]], [[50, -1, -1], [52, 1, 1]]], float)
-    assert look_at(boxes, np.tile(np.eye(4), (3, 1, 1)), camera, (100, 100)).visible.tolist() == [True, False, False]
+    assert in_view(bodies_of(boxes), camera).tolist() == [True, False, False]
 
 
 def test_orthographic_cameras_measure_without_distance() -> None:
     camera = MatrixCamera(np.eye(4), np.diag([0.5, 0.5, -0.1, 1.0])).matrices(100, 100)
     box = np.array([[[-1, -1, -9], [1, 1, -1]]], float)
-    assert look_at(box, np.eye(4)[None], camera, (100, 100)).pixels_a_metre[0] == pytest.approx(25.0)
+    assert pixels_a_metre(bodies_of(box), camera, (100, 100))[0] == pytest.approx(25.0)
 
 
 def test_levels_are_monotonic_and_under_the_threshold() -> None:
