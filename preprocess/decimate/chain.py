@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from preprocess.decimate.engine import Engine, make_engine
 from preprocess.decimate.floor import count_floor
-from preprocess.decimate.lod import Chain, DecimateOptions, Lod, Strictness
+from preprocess.decimate.lod import PEAK_WEIGHT, Chain, DecimateOptions, Lod, Strictness
 from preprocess.decimate.measure import Reference, make_reference, measure
 from preprocess.decimate.topology import build_half_edges, source_uvs
 from preprocess.errors import InputError
@@ -44,6 +44,12 @@ def _targets(num_faces: int, options: DecimateOptions) -> list[int]:
         return sorted({max(1, round(ratio * num_faces)) for ratio in options.ratios}, reverse=True)
     levels = max(0, math.floor(math.log2(max(num_faces / max(options.min_faces, 1), 1.0))))
     return [num_faces] + [max(1, round(num_faces / 2**level)) for level in range(1, levels + 2)]
+
+
+def _by_error(options: DecimateOptions | None) -> DecimateOptions:
+    """Options for levels that are chosen by their largest error."""
+    options = options or DecimateOptions()
+    return options if options.peak_weight is not None else replace(options, peak_weight=PEAK_WEIGHT)
 
 
 def check_target(target_faces: int, num_faces: int) -> None:
@@ -131,7 +137,7 @@ def decimate_within(
     """
     if not error_m > 0.0:
         raise InputError(f"an error of {error_m:g} m is not above zero: give a distance in metres")
-    engine = make_engine(surface, options or DecimateOptions(), position_texture, poses)
+    engine = make_engine(surface, _by_error(options), position_texture, poses)
     reference = make_reference(surface, poses)
     best = _measured(reference, engine.snapshot(), 0.0)
     target = engine.num_faces
@@ -258,7 +264,7 @@ def decimate(
     InputError
         If the surface has no faces, numbers that are not finite, or a ratio is not in (0, 1].
     """
-    options = options or DecimateOptions()
+    options = _by_error(options)
     engine = make_engine(surface, options, position_texture, poses, face_groups)
     reference = make_reference(surface, poses)
     may_relax = options.ratios is None and options.relaxed_px > 0 and options.strict is Strictness.SEAMLESS

@@ -282,9 +282,9 @@ def make_engine(
     settings[rules.MIN_UV_HEIGHT] = MIN_UV_HEIGHT * min(extent_uv, 1.0)
     settings[rules.MIN_SHAPE] = MIN_SHAPE
     corners = half_edges.tail[: 3 * num_faces].reshape(-1, 3)
-    matrices, witnesses = _pose(half_edges, uv, xyz, centre, scale, poses, options.peak_weight > 0.0)
+    matrices, witnesses = _pose(half_edges, uv, xyz, centre, scale, poses, bool(options.peak_weight))
     # Two wedges' quadrics have four faces' area between them, in each pose.
-    settings[rules.PEAK] = options.peak_weight * 2.0 * float(area2) * (1 + len(matrices))
+    settings[rules.PEAK] = (options.peak_weight or 0.0) * 2.0 * float(area2) * (1 + len(matrices))
     links = np.full((num_half_edges, 6), -1, np.int64)
     links[:, TAIL], links[:, WEDGE], links[:, TWIN] = half_edges.tail, half_edges.wedge, half_edges.twin
     links[:, rules.BLOCKED] = links[:, rules.WEIGHED] = 0

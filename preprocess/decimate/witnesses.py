@@ -28,7 +28,7 @@ SLIP = 0.03
 SLIP_PER_BEND = 2.0
 SMOOTH_BEND = 0.02
 # A mesh with fewer vertices has witnesses on its edges, too.
-FEW_VERTICES = 8000
+FEW_VERTICES = 5000
 
 # Columns of a witness: uv, slip, then position and normal in each pose.
 SLIP_COLUMN, FIRST_POSE, POSE_STRIDE = 2, 3, 6
