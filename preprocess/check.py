@@ -87,14 +87,14 @@ def measure_asset(asset: Asset) -> Iterator[tuple[str, str, bool]]:
     finest = surface_of(asset, asset.lods[0])
     seams = find_seams(finest)
     moved = normal_uvs_of(asset.lods[0])
-    grounds = {"normal": (bake_surface(finest, moved), move_seams(seams, finest, moved))} if moved else {}
+    at_normal_uvs = (bake_surface(finest, moved), move_seams(seams, finest, moved)) if moved else (finest, seams)
     found = find_overlap(finest.uvs, finest.face_uvs)
     overlap = found.num_pairs + found.num_flat
     yield "overlapping faces", str(overlap), overlap <= manifest["atlas"]["overlap"]
     for name in asset.textures:
         entry = manifest["textures"][name]
         joined = None
-        ground = grounds.get(name, (finest, seams))
+        ground = at_normal_uvs if name == "normal" or entry.get("uvs") == "normal" else (finest, seams)
         for level, texels in enumerate(_levels(asset, name)):
             claim = entry["seam"]["stored"][level]
             if level == 0:

@@ -210,7 +210,9 @@ def move_seams(seams: Seams, surface: TexturedSurface, normal: NormalUvs) -> Sea
     )
 
 
-def find_normal_uvs(mesh: SkinnedMesh, size_px: tuple[int, int], crease_rad: float = CREASE_RAD) -> NormalUvs | None:
+def find_normal_uvs(
+    mesh: SkinnedMesh, size_px: tuple[int, int], borders: Bools | None = None, crease_rad: float = CREASE_RAD
+) -> NormalUvs | None:
     """Where a character's corners sample its normal texture.
 
     Parameters
@@ -219,6 +221,8 @@ def find_normal_uvs(mesh: SkinnedMesh, size_px: tuple[int, int], crease_rad: flo
         With the atlas as its uvs.
     size_px : (width, height)
         Of the normal texture.
+    borders : (3 F,) bool, optional
+        Half-edges that count as hard at their start as well: colours differ across them.
     crease_rad : float
 
     Returns
@@ -228,4 +232,6 @@ def find_normal_uvs(mesh: SkinnedMesh, size_px: tuple[int, int], crease_rad: flo
     """
     twins = pair_inside_charts(mesh.surface)
     hard = find_hard_starts(mesh.corner_normals, twins, crease_rad)
+    if borders is not None:
+        hard |= borders & (twins >= 0)
     return move_from_creases(mesh.surface, twins, hard, size_px) if hard.any() else None

@@ -170,11 +170,8 @@ def _bake(mesh: SkinnedMesh, materials: tuple[Material, ...], name: str, coverag
     face_of_texel = coverage.faces[near]
     blended = name == "base_color" and any(materials[i].alpha_mode != "OPAQUE" for i in np.unique(mesh.face_materials))
     values = np.ones((len(face_of_texel), 4))
-    lookup = _Lookup(mesh, coverage)
-    for index in np.unique(mesh.face_materials):
-        rows = np.flatnonzero(mesh.face_materials[face_of_texel] == index)
-        if len(rows):
-            values[rows] = _SHADERS[name](materials[index], lookup, rows)
+    lookup = _Lookup(mesh, face_of_texel, coverage.barycentrics[near].astype(np.float64), (width, height))
+    _shade(values, name, materials, lookup)
     if name == "base_color" and mesh.corner_colors is not None:
         values *= interpolate_corners(coverage, mesh.corner_colors)[near]
     values = np.clip(values, 0.0, 1.0)
@@ -183,6 +180,44 @@ def _bake(mesh: SkinnedMesh, materials: tuple[Material, ...], name: str, coverag
     texels = np.zeros((height, width, 4 if blended else 3))
     texels[near] = values[:, : texels.shape[2]]
     return fill_outside(texels, near)
+
+
+def _shade(values: Floats, name: str, materials: tuple[Material, ...], lookup: _Lookup) -> None:
+    """Fill in the values of all points, each with the shader of its material."""
+    material_of_point = lookup.mesh.face_materials[lookup.faces]
+    for index in np.unique(lookup.mesh.face_materials):
+        rows = np.flatnonzero(material_of_point == index)
+        if len(rows):
+            values[rows] = _SHADERS[name](materials[index], lookup, rows)
+
+
+def base_colors_at(
+    materials: tuple[Material, ...],
+    mesh: SkinnedMesh,
+    faces: NDArray[np.integer],
+    barycentrics: Floats,
+    size_px: tuple[int, int],
+) -> Floats:
+    """Base colour at points of the surface as a texture of a given size would show it, sRGB-encoded.
+
+    Parameters
+    ----------
+    materials : tuple of Material
+    mesh : SkinnedMesh
+        With the atlas as its uvs.
+    faces : (N,) int
+    barycentrics : (N, 3) float64
+    size_px : (width, height)
+
+    Returns
+    -------
+    (N, 3) float64
+    """
+    values = np.ones((len(faces), 4))
+    _shade(values, "base_color", materials, _Lookup(mesh, faces, barycentrics, size_px))
+    if mesh.corner_colors is not None:
+        values *= np.einsum("nk,nkc->nc", barycentrics, mesh.corner_colors[faces])
+    return linear_to_srgb(np.clip(values[:, :3], 0.0, 1.0))
 
 
 def _base_color(material: Material, lookup: _Lookup, rows: NDArray[np.integer]) -> Floats:
@@ -210,16 +245,16 @@ _SHADERS = {"base_color": _base_color, "emissive": _emissive, "orm": _orm}
 
 
 class _Lookup:
-    """Source images seen from the atlas's covered texels (rows: indices into the covered texels)."""
+    """Source images seen from N points of the surface, each as wide as a texel of the atlas at a size."""
 
-    def __init__(self, mesh: SkinnedMesh, coverage: Coverage) -> None:
+    def __init__(
+        self, mesh: SkinnedMesh, faces: NDArray[np.integer], barycentrics: Floats, size_px: tuple[int, int]
+    ) -> None:
         self.mesh = mesh
-        near = coverage.faces >= 0
-        self.faces = coverage.faces[near]
-        self.barycentrics = coverage.barycentrics[near].astype(np.float64)
-        height, width = coverage.shape
+        self.faces = faces
+        self.barycentrics = barycentrics
         surface = mesh.surface
-        self.gradients = _barycentric_gradients(uv_to_px(surface.uvs, width, height)[surface.face_uvs])
+        self.gradients = _barycentric_gradients(uv_to_px(surface.uvs, *size_px)[surface.face_uvs])
 
     def raw(self, ref: TextureRef | None, rows: NDArray[np.integer], texels: Floats | None = None) -> Floats:
         """Stored values, (N, 4); ones where there is no texture."""
@@ -279,7 +314,9 @@ def bake_normals(
     normals = _unit(interpolate_corners(coverage, mesh.corner_normals)[near])
     if corner_tangents is not None:
         frames = interpolate_corners(coverage, corner_tangents)[near]
-        lookup = _Lookup(mesh, coverage)
+        height, width = coverage.shape
+        faces, barycentrics = coverage.faces[near], coverage.barycentrics[near].astype(np.float64)
+        lookup = _Lookup(mesh, faces, barycentrics, (width, height))
         for index in np.unique(mesh.face_materials):
             material = character.materials[index]
             if material.normal is None:

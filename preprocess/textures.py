@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from preprocess.atlas import Atlas
 from preprocess.bake import cover_atlas
+from preprocess.borders import BORDER, find_color_borders
 from preprocess.crease_levels import find_level_normal_uvs
 from preprocess.creases import NormalUvs, bake_surface, erase_surface, find_normal_uvs, move_seams
 from preprocess.decimate import Lod
@@ -105,8 +106,14 @@ class TextureStage:
         self.made_here = self._find_made_seams()
         self.decisions: dict[str, Decision] = {}
         self.normal_size = self.settings.color_size_px or self._normal_size()
-        self.normal_uvs: NormalUvs | None = find_normal_uvs(self.mesh, (self.normal_size, self.normal_size))
+        size = (self.normal_size, self.normal_size)
+        unwrapped = atlas.mode == "unwrap"
+        self.borders = find_color_borders(character, self.mesh, size) if unwrapped else None
+        half_edges = None if self.borders is None else self.borders.half_edges()
+        self.normal_uvs: NormalUvs | None = find_normal_uvs(self.mesh, size, half_edges)
+        self.colors_moved = unwrapped and self.normal_uvs is not None
         self._coverage: dict[tuple[int, int], Coverage] = {}
+        self._moved_coverage: dict[tuple[int, int], Coverage] = {}
         self._plans: dict[bytes, dict[tuple[int, int], Eraser]] = {}
 
     def cover(self, width: int, height: int) -> Coverage:
@@ -115,6 +122,14 @@ class TextureStage:
         if size not in self._coverage:
             self._coverage[size] = cover_atlas(self.mesh, width, height)
         return self._coverage[size]
+
+    def cover_moved(self, width: int, height: int) -> Coverage:
+        """The normal uvs rasterised at a size, once."""
+        assert self.normal_uvs is not None
+        if (width, height) not in self._moved_coverage:
+            moved = self.mesh.with_surface(bake_surface(self.mesh.surface, self.normal_uvs))
+            self._moved_coverage[width, height] = cover_atlas(moved, width, height)
+        return self._moved_coverage[width, height]
 
     def options(self, joined: NDArray[np.bool_] | None) -> EraseOptions:
         """How seams are erased here."""
@@ -162,16 +177,19 @@ class TextureStage:
         if any(material.normal is not None for material in self.character.materials):
             tangents = corner_tangents(mesh, self._normal_texcoord())
         decision = choose_normal_seams(mesh.surface, self.seams, mesh.corner_normals)
-        seams = pick_seams(self.seams, decision.joined)
-        if uvs is None:
-            baked = bake_normals(self.character, mesh, tangents, self.cover(*size))
-            erased_on = (mesh.surface, seams)
-        else:
-            moved = mesh.with_surface(bake_surface(mesh.surface, uvs))
-            baked = bake_normals(self.character, moved, tangents, cover_atlas(moved, *size))
-            erased_on = (erase_surface(mesh.surface, uvs), move_seams(seams, mesh.surface, uvs))
+        moved = mesh if uvs is None else mesh.with_surface(bake_surface(mesh.surface, uvs))
+        coverage = self.cover(*size) if uvs is None else self.cover_moved(*size)
+        baked = bake_normals(self.character, moved, tangents, coverage)
+        erased_on = self._erased_on(decision, uvs)
         scaled = 0.5 * NORMAL_LENGTH * baked + 0.5
         return self._decided(_Job("normal", scaled, "uint16", 0, decision, erased_on=erased_on))
+
+    def _erased_on(self, decision: Decision, uvs: NormalUvs | None) -> tuple[TexturedSurface, Seams]:
+        """Where a texture is erased whose seams that are left are not to be touched."""
+        surface, seams = self.mesh.surface, pick_seams(self.seams, decision.joined)
+        if uvs is None:
+            return surface, seams
+        return erase_surface(surface, uvs), move_seams(seams, surface, uvs)
 
     def _normal_size(self) -> int:
         maps = [material.normal for material in self.character.materials]
@@ -182,7 +200,11 @@ class TextureStage:
 
     def _materials(self) -> list[_Job]:
         """Base colour and, where the character has them, occlusion-roughness-metallic and emissive."""
-        baked = bake_materials(self.character, self.mesh, self.atlas.resampled, self.settings.color_size_px, self.cover)
+        mesh, cover = self.mesh, self.cover
+        if self.colors_moved:
+            assert self.normal_uvs is not None
+            mesh, cover = mesh.with_surface(bake_surface(mesh.surface, self.normal_uvs)), self.cover_moved
+        baked = bake_materials(self.character, mesh, self.atlas.resampled, self.settings.color_size_px, cover)
         return [self._material(texture) for texture in baked]
 
     def _material(self, texture: BakedTexture) -> _Job:
@@ -190,10 +212,18 @@ class TextureStage:
         decision = choose_color_seams(
             texture.texels, self.mesh.surface, self.seams, threshold, made_here=self.made_here
         )
+        erased_on = None
+        if self.borders is not None:
+            gaps = self.borders.along_seams(self.seams, self.mesh.surface.faces)
+            limit = np.inf if self.settings.keep_borders is None else min(threshold, BORDER)
+            decision = Decision(gaps <= limit, gaps, limit)
+            erased_on = self._erased_on(decision, self.normal_uvs if self.colors_moved else None)
         # What is copied lacks the material's factors: the model keeps them (model_materials.py).
-        extra = {"copied": texture.copied}
-        srgb_channels = 3 if texture.is_color else 0
-        return self._decided(_Job(texture.name, texture.texels, texture.format, srgb_channels, decision, extra))
+        extra: dict[str, Any] = {"copied": texture.copied}
+        if self.colors_moved:
+            extra["uvs"] = "normal"
+        job = _Job(texture.name, texture.texels, texture.format, 3 if texture.is_color else 0, decision, extra)
+        return self._decided(dataclasses.replace(job, erased_on=erased_on))
 
     def _decided(self, job: _Job) -> _Job:
         self.decisions[job.name] = job.decision

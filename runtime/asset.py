@@ -144,6 +144,11 @@ class Asset:
         return self.manifest.name
 
     @property
+    def colors_moved(self) -> bool:
+        """Whether colour textures are sampled at normal uvs, where there are any."""
+        return bool(self.manifest.json["textures"].get("base_color", {}).get("uvs") == "normal")
+
+    @property
     def num_joints(self) -> int:
         """Number of joints, J."""
         return len(self.manifest.joints)

@@ -169,6 +169,7 @@ class CrowdPasses:
             *(("PLACED",) if level.places is not None else ()),
             *(("EIGHT_JOINTS",) if level.eight_joints else ()),
             *(("NORMAL_UV",) if level.normal_uvs is not None else ()),
+            *(("COLOR_AT_NORMAL_UV",) if self._model.asset.colors_moved else ()),
             *what_it_lacks(self._model, material),
         )
 

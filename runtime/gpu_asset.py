@@ -171,7 +171,10 @@ class Model:
     @property
     def shader_defines(self) -> dict[str, int]:
         """Preprocessor definitions that this model's programs need."""
-        return {} if self.weight_cells.joints is None else {"WIDE_JOINTS": 1}
+        return {
+            **({} if self.weight_cells.joints is None else {"WIDE_JOINTS": 1}),
+            **({"COLOR_AT_NORMAL_UV": 1} if self.asset.colors_moved else {}),
+        }
 
     def joint_texture(self, joint_texels: NDArray[np.float32]) -> moderngl.Texture:
         """The texture of poses, filled with (A, J, R, 4) float32, R texels a joint along x, one pose a row."""

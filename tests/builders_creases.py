@@ -20,6 +20,9 @@ NET = (
     (1, 2, (0, -1, 0), (1, 0, 0), (0, 0, 1)),
 )
 
+# Colours of the sides in this order, sRGB.
+PALETTE = np.array([[200, 40, 40], [40, 180, 60], [50, 60, 200], [220, 210, 60], [120, 120, 120], [140, 128, 118]])
+
 
 def cube_net(path: Path, cells: int = 1, turn_rad: float = 0.35, smooth: bool = False) -> Path:
     """A cube of side 1 unfolded into one chart, turned so that no edge runs along the texels.
@@ -48,6 +51,32 @@ def cube_net(path: Path, cells: int = 1, turn_rad: float = 0.35, smooth: bool = 
         TEXCOORD_0=centred @ turn.T + 0.5,
     )
     builder.node(mesh=builder.mesh(primitive), name="box")
+    return builder.write(path)
+
+
+def painted_cube(path: Path, cells: int = 2, smooth: bool = True) -> Path:
+    """A cube whose sides take their colours from the cells of a palette: its uvs are points, its charts overlap."""
+    steps = np.linspace(0.0, 1.0, cells + 1)
+    along, down = (a.ravel() for a in np.meshgrid(steps, steps))
+    corner = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).ravel()
+    right_of, below, across = corner + 1, corner + cells + 1, corner + cells + 2
+    square = np.concatenate([np.stack([corner, below, across], 1), np.stack([corner, across, right_of], 1)])
+    positions, normals, uvs, faces = [], [], [], []
+    for number, (_, _, normal, right, up) in enumerate(NET):
+        place = 0.5 * np.array(normal) + np.outer(along - 0.5, right) - np.outer(down - 0.5, up)
+        faces.append(square + sum(map(len, positions)))
+        positions.append(place)
+        normals.append(place / np.linalg.norm(place, axis=1)[:, None] if smooth else np.tile(normal, (len(place), 1)))
+        uvs.append(np.tile([(number + 0.5) / 6, 0.5], (len(place), 1)))
+    builder = GltfBuilder()
+    palette = np.repeat(np.repeat(PALETTE[None], 4, axis=0), 4, axis=1).astype(np.uint8)
+    material = builder.add(
+        "materials", pbrMetallicRoughness={"baseColorTexture": {"index": builder.texture(palette)}, "metallicFactor": 0}
+    )
+    primitive = builder.primitive(
+        np.concatenate(positions), np.concatenate(faces), NORMAL=np.concatenate(normals), TEXCOORD_0=np.concatenate(uvs)
+    )
+    builder.node(mesh=builder.mesh({**primitive, "material": material}), name="box")
     return builder.write(path)
 
 

@@ -8,11 +8,12 @@ from pathlib import Path
 import moderngl
 import numpy as np
 import pytest
-from builders_creases import cube_net, load_cube, side_of
+from builders_creases import NET, PALETTE, cube_net, load_cube, painted_cube, side_of
 from builders_scene import Scene
 
 import runtime
 from preprocess.bake import cover_atlas
+from preprocess.borders import BORDER, find_color_borders
 from preprocess.crease_levels import find_hard_edges, find_level_normal_uvs
 from preprocess.creases import (
     INSET,
@@ -29,6 +30,7 @@ from preprocess.creases import (
     pair_inside_charts,
 )
 from preprocess.decimate import DecimateOptions, decimate
+from preprocess.gltf import load_character
 from preprocess.mesh import SkinnedMesh, TexturedSurface
 from preprocess.pipeline import build
 from preprocess.progress import Progress
@@ -294,8 +296,56 @@ def test_level_edges_are_hard_only_from_end_to_end() -> None:
     half = lines.copy()
     half[:, 1] = half.mean(axis=1)
     assert not find_hard_edges(surface, twins, half, (64, 64)).any()
-    beside = lines + (0.6, 0.0)
+    beside = lines + np.array([0.6, 0.0])
     assert not find_hard_edges(surface, twins, beside, (64, 64)).any()
+
+
+# Colours
+
+
+def test_gaps_are_the_differences_of_the_palette(tmp_path: Path) -> None:
+    character = load_character(painted_cube(tmp_path / "box.glb"))
+    mesh = character.mesh
+    borders = find_color_borders(character, mesh, SIZE)
+    side = np.empty(mesh.num_faces, np.int64)
+    triangles = mesh.surface.positions[mesh.surface.faces]
+    facing = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    for number, (_, _, normal, _, _) in enumerate(NET):
+        side[facing @ np.array(normal) > 0] = number
+    left, right = (PALETTE[side[borders.edges.halves[:, k] // 3]] / 255.0 for k in range(2))
+    np.testing.assert_allclose(borders.gaps, np.repeat(np.abs(left - right).max(axis=1)[:, None], 3, axis=1), atol=1e-6)
+    assert borders.half_edges().sum() == 2 * 12 * 2  # all twelve edges of the cube, of two pieces each, from both sides
+
+
+def test_one_end_of_an_edge_may_have_a_border(tmp_path: Path) -> None:
+    character = load_character(painted_cube(tmp_path / "box.glb"))
+    borders = find_color_borders(character, character.mesh, SIZE)
+    fading = dataclasses.replace(borders, gaps=borders.gaps * (1.0, 0.5, 0.0))
+    glued = borders.edges.halves[borders.gaps[:, 0] > BORDER]
+    half_edges = fading.half_edges()
+    assert half_edges[glued[:, 0]].all() and not half_edges[glued[:, 1]].any()
+
+
+def test_painted_borders_are_drawn_to_the_pixel(tmp_path: Path, ctx: moderngl.Context) -> None:
+    settings = Settings(atlas="unwrap", color_size_px=128)
+    build(painted_cube(tmp_path / "box.glb"), tmp_path / "box", settings, Progress(quiet=True))
+    asset = runtime.load(tmp_path / "box")
+    assert asset.colors_moved and asset.lods[0].normal_uvs is not None
+    scene = Scene(ctx, asset)
+    places = view_of(scene, "position", [scene.model.actor()], lod=0)
+    colors = view_of(scene, "base_color", [scene.model.actor()], lod=0)
+    crowd = runtime.Crowd(ctx, scene.model, 1)
+    many = view_of(scene, "base_color", [crowd], lod=0)
+    crowd.release()
+    scene.release()
+    drawn = places[..., 3] > 0
+    place = places[drawn][:, :3] / 255 - 0.5
+    normals = np.array([normal for _, _, normal, _, _ in NET])
+    wanted = PALETTE[(place @ normals.T).argmax(axis=1)]
+    clear = np.diff(np.sort(np.abs(place), axis=1)[:, 1:], axis=1)[:, 0] > 0.004
+    wrong = np.abs(colors[drawn][:, :3] - wanted).max(axis=1) > 3
+    assert clear.mean() > 0.95 and wrong[clear].mean() < 0.002
+    assert (np.abs(colors - many).max(axis=2) > 2).mean() < 0.002
 
 
 # Whole characters
@@ -341,7 +391,7 @@ def test_drawn_normals_are_right_up_to_the_edges(box: Path, ctx: moderngl.Contex
     wanted = np.zeros_like(place)
     wanted[np.arange(len(place)), np.abs(place).argmax(axis=1)] = np.sign(np.abs(place).max(axis=1))
     wanted *= np.where(place > 0, 1, -1)
-    # Eight bits must say which side it is; where the net's outline turns inwards, other sides are near in the atlas too.
+    # Eight bits must say which side it is; where the net's outline turns inwards, other sides are near in the atlas.
     clear = np.diff(np.sort(np.abs(place), axis=1)[:, 1:], axis=1)[:, 0] > 0.004
     clear &= np.linalg.norm(np.abs(place) - 0.5, axis=1) > 0.12
     cosine = (found * wanted).sum(axis=1) / np.linalg.norm(found, axis=1)

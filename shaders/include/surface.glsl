@@ -10,6 +10,11 @@ in vec2 surface_normal_uv;        // where the normal texture is sampled: beside
 #else
 #define surface_normal_uv surface_uv
 #endif
+#ifdef COLOR_AT_NORMAL_UV
+#define surface_color_uv surface_normal_uv
+#else
+#define surface_color_uv surface_uv
+#endif
 in vec3 surface_position;         // metres, world axes, from the eye
 in mat3 surface_normal_matrix;    // object space at rest -> world, not normalised
 in vec3 surface_rest;             // object space at rest, metres
@@ -68,7 +73,7 @@ vec3 shading_normal() {
 
 // Colours are blended in the encoding they are stored in, in which their seams were closed, and then decoded.
 vec4 encoded_base_color() {
-    vec4 texel = texture(base_color_texture, surface_uv);
+    vec4 texel = texture(base_color_texture, surface_color_uv);
     float alpha = texel.a * base_color_factor.a * surface_tint.a;
 #ifndef NO_CUTOUT
     if (alpha < surface_factors.w) discard;
@@ -82,7 +87,7 @@ Surface read_surface() {
 #ifdef NO_ORM
     vec3 orm = vec3(1.0);
 #else
-    vec3 orm = texture(orm_texture, surface_uv).rgb;
+    vec3 orm = texture(orm_texture, surface_color_uv).rgb;
 #endif
     s.uv = surface_uv;
     s.position = surface_position;
@@ -96,7 +101,7 @@ Surface read_surface() {
 #ifdef NO_EMISSION
     s.emissive = vec3(0.0);
 #else
-    s.emissive = decode_srgb(texture(emissive_texture, surface_uv).rgb) * emissive_factor;
+    s.emissive = decode_srgb(texture(emissive_texture, surface_color_uv).rgb) * emissive_factor;
 #endif
     s.unlit = (surface_flags & 2) != 0;
     return s;
