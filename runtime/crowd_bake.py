@@ -44,9 +44,10 @@ class BakedClips:
     durations_s : (C,) float64
     rates_hz : (C,) float64
         Rows a second, so that duration times rate is `num_rows - 1`.
-    centres : (C, 3) float64
-        Of the sphere that holds all poses of a clip, object space, metres.
+    centres, halves : (C, 3) float64
+        Of the box that holds all poses of a clip, object space, metres: its middle, and half its size.
     radii_m : (C,) float64
+        Of the sphere around that box.
     shift_m : float
         How far a point may be from its place, since what lies between two rows is blended.
     """
@@ -58,6 +59,7 @@ class BakedClips:
     durations_s: NDArray[np.float64]
     rates_hz: NDArray[np.float64]
     centres: NDArray[np.float64]
+    halves: NDArray[np.float64]
     radii_m: NDArray[np.float64]
     shift_m: float
 
@@ -150,7 +152,8 @@ def bake_clips(
     blocks.append(skinning_rows(skeleton, rest_pose(skeleton)).astype(np.float32))
     counts = np.array([len(block) for block in blocks], dtype=np.int64)
     durations = np.array([*(clip.duration_s for clip in clips), 0.0])
-    spheres = [_sphere(block, boxes) for block in blocks]
+    boxes_m = np.array([_box(block, boxes) for block in blocks])
+    halves = (boxes_m[:, 1] - boxes_m[:, 0]) / 2 + shift + 1e-4
     return BakedClips(
         names=(*(clip.name for clip in clips), "rest"),
         matrices=np.concatenate(blocks),
@@ -158,17 +161,17 @@ def bake_clips(
         num_rows=counts,
         durations_s=durations,
         rates_hz=(counts - 1) / np.where(durations > 0, durations, 1.0),
-        centres=np.array([centre for centre, _ in spheres]),
-        radii_m=np.array([radius for _, radius in spheres]) + shift,
+        centres=boxes_m.mean(axis=1),
+        halves=halves,
+        radii_m=np.linalg.norm(halves, axis=1),
         shift_m=shift,
     )
 
 
-def _sphere(matrices: NDArray[np.float32], boxes: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Centre and radius of a sphere around the boxes of all rows."""
+def _box(matrices: NDArray[np.float32], boxes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Least and greatest corner of the boxes of all rows, (2, 3)."""
     each = pose_bounds(matrices, boxes).astype(np.float64)
-    low, high = each[:, 0].min(axis=0), each[:, 1].max(axis=0)
-    return (low + high) / 2, float(np.linalg.norm(high - low)) / 2 + 1e-4
+    return np.array([each[:, 0].min(axis=0), each[:, 1].max(axis=0)])
 
 
 def pick_joints(joints: NDArray[Any], weights: Floats, width: int) -> tuple[NDArray[np.uint16], NDArray[np.float32]]:

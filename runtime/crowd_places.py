@@ -17,7 +17,7 @@ Floats = NDArray[np.floating[Any]]
 
 BITS = (11, 11, 10)  # of x, y and z
 # A level is placed if rounding moves nothing by more than this part of its own error.
-ROUNDING_SHARE = 0.08
+ROUNDING_SHARE = 0.1
 
 
 @dataclass(frozen=True)

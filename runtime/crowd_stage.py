@@ -17,6 +17,7 @@ from runtime.crowd_bake import BakedClips
 from runtime.lod import HYSTERESIS
 
 Floats = NDArray[np.floating[Any]]
+CLOSE_RADII = 20.0  # actors at so many radii or less are looked at more closely
 INSTANCE_WORDS = 14  # rows (3, 4) float32, row of the baked clips float32, tint 4 × uint8
 
 
@@ -165,13 +166,19 @@ class Stage:
     ) -> Floats:
         """Largest size on the screen of a displacement of one metre of each seen actor, (S,) pixels.
 
-        As `runtime.lod.pixels_per_metre`, with spheres in place of boxes.
+        As in `runtime.lod`: by the depth of the nearest point of the clip's box, and how far aside its sphere reaches.
         """
         focal_px = np.float32(camera.projection[1, 1] * height_px / 2)
         scales = self._scales[numbers]
         if not camera.is_perspective:
             return scales * focal_px
         nearest = -view[:, 2] - radii
+        close = np.flatnonzero(nearest < CLOSE_RADII * radii)  # farther away it makes no difference
+        # How far the box reaches towards the eye: the sum of its half sizes, each as long as it is seen along the view.
+        linear = self._rows[numbers[close]].reshape(-1, 3, 4)[:, :, :3]
+        along = np.abs(np.einsum("src,r->sc", linear, camera.rotation[2]))
+        reach = np.einsum("sc,sc->s", along, self.baked.halves[self.clips[numbers[close]]])
+        nearest[close] = -view[close, 2] - np.minimum(reach, radii[close])
         safe = np.maximum(nearest, np.float32(1e-6))
         aside = (np.hypot(view[:, 0], view[:, 1]) + radii) / safe
         widest = float(np.hypot(1 / camera.projection[0, 0], 1 / camera.projection[1, 1]))
