@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +22,8 @@ BUDGET_S = 0.002  # of a frame: an eighth of one at 60 a second
 
 
 def _read(path: Path, position_format: str) -> Prepared:
-    """Everything that needs no context."""
+    """Everything that needs no context; what a model imports late is imported here, not in a frame."""
+    import_module("runtime.mixer")
     return prepare(load(path), position_format)
 
 
