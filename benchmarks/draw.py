@@ -32,11 +32,10 @@ from runtime.gl_state import saved_state
 from runtime.gpu_asset import Model
 from runtime.gpu_levels import INSTANCE, instance_layout
 from runtime.gpu_textures import TEXTURE_UNITS
-from runtime.passes import set_material
+from runtime.passes import set_material, what_it_lacks
 from runtime.pose import sample, skinning_rows
 from runtime.programs import build_program, set_uniforms
 from runtime.renderer import Renderer
-from runtime.weight_cells import split_stack
 
 BUILT = Path("out/benchmarks/human.seamless")
 JOINT_BLOCK_ROWS = 1020  # vec4 in the smallest uniform block that OpenGL promises, three a joint
@@ -44,6 +43,7 @@ DRAWS_A_ROUND = 6  # before one waits for the end
 # Bytes a vertex of the classic chain. As glTF has them: position 12, normal 12, tangent 16, uv 8, joints 4, weights 16;
 # packed: position 12, normal 4, tangent 4, uv 8, joints 4, weights 4.
 CLASSIC_VERTEX_BYTES = {"as glTF": 68, "packed": 36}
+LAYOUT_PX, LIST_JOINTS = 384, 8  # of the layouts that records are compared with
 EXTRA_UNITS = {"texel_joints": 10, "texel_weights": 11, "dense_weights": 12}
 
 
@@ -79,10 +79,16 @@ class Bench:
     def add(self, name: str, vertex: str, buffer: moderngl.Buffer, form: str, attributes: tuple[str, ...],
             defines: Mapping[str, str | int]) -> None:  # fmt: skip
         """A candidate: a vertex shader and its vertices."""
-        program = build_program(self.ctx, (vertex, "lit.frag"), {"JOINT_BLOCK_ROWS": JOINT_BLOCK_ROWS, **defines})
-        set_uniforms(program, {**TEXTURE_UNITS, **EXTRA_UNITS, **self.model.constants})
         lod = self.model.lods[0]
-        set_material(program, lod.groups[0].material, False)
+        material = lod.groups[0].material
+        lacks = dict.fromkeys(what_it_lacks(self.model, material), 1)
+        program = build_program(
+            self.ctx, (vertex, "lit.frag"), {"JOINT_BLOCK_ROWS": JOINT_BLOCK_ROWS, **lacks, **defines}
+        )
+        set_uniforms(program, {**TEXTURE_UNITS, **EXTRA_UNITS, **self.model.constants})
+        if vertex == "layouts.vert":
+            set_uniforms(program, {"weight_size": (LAYOUT_PX, LAYOUT_PX)})
+        set_material(program, material, False)
         content = [(buffer, form, *attributes), instance_layout(program, self.instances)]
         array = self.ctx.vertex_array(program, content, lod.indices, index_element_size=lod.index_size)
         self.arrays[name] = array, program
@@ -107,7 +113,7 @@ def attribute_vertices(asset: Asset) -> NDArray[Any]:
     mesh = asset.lods[0]
     positions = sample_bilinear(asset.textures["position"].levels[0][:, :, :3], mesh.owner_uvs)
     stored = unpack_weights(asset.textures["weights"].levels[0], asset.weight_size, asset.num_joints)
-    weights = sample_weights(stored, asset.weight_details, mesh.owner_uvs)
+    weights = sample_weights(stored, asset.weight_details, mesh.owner_uvs.astype(np.float64))
     joints = np.argsort(-weights, axis=1, kind="stable")[:, :4]
     strongest = np.take_along_axis(weights, joints, axis=1)
     form = [("position", "<f4", 3), ("uv", "<f4", 2), ("joints", "u1", 4), ("weights", "u1", 4)]
@@ -115,6 +121,20 @@ def attribute_vertices(asset: Asset) -> NDArray[Any]:
     vertices["position"], vertices["uv"], vertices["joints"] = positions, mesh.uvs, joints
     vertices["weights"] = np.rint(strongest / strongest.sum(axis=1, keepdims=True) * 255)
     return vertices
+
+
+def even_weights(asset: Asset) -> NDArray[np.uint8]:
+    """All weights on an even map without details, (H, W, J) uint8, J a multiple of four: for simpler layouts."""
+    from preprocess.weight_details import sample_weights
+    from preprocess.weights import unpack_weights
+
+    stored = unpack_weights(asset.textures["weights"].levels[0], asset.weight_size, asset.num_joints)
+    middles = (np.arange(LAYOUT_PX) + 0.5) / LAYOUT_PX
+    u, v = np.meshgrid(middles, middles)
+    weights = sample_weights(stored, asset.weight_details, np.stack([u.ravel(), v.ravel()], axis=1))
+    dense = np.zeros((LAYOUT_PX, LAYOUT_PX, -(-asset.num_joints // 4) * 4), np.uint8)
+    dense.reshape(LAYOUT_PX**2, -1)[:, : asset.num_joints] = np.rint(weights * 255)
+    return dense
 
 
 def plain_texture(ctx: moderngl.Context, texels: NDArray[Any], dtype: str) -> moderngl.Texture:
@@ -128,16 +148,15 @@ def plain_texture(ctx: moderngl.Context, texels: NDArray[Any], dtype: str) -> mo
 def add_layouts(bench: Bench) -> dict[str, int]:
     """The candidates; bytes of the weights of each."""
     asset, ctx = bench.asset, bench.ctx
-    width, height = asset.weight_size
-    joints, weights = split_stack(asset.textures["weights"].levels[0], asset.weight_size)
-    lists = joints.shape[-1] // 4
+    dense = even_weights(asset)
+    width, height = LAYOUT_PX, LAYOUT_PX
+    joints = np.argsort(-dense.astype(np.int16), axis=-1, kind="stable")[..., :LIST_JOINTS]
+    weights = np.take_along_axis(dense, joints, axis=-1)
+    lists, layers = LIST_JOINTS // 4, dense.shape[-1] // 4
     stacked = [
         array.reshape(height, width, lists, 4).transpose(2, 0, 1, 3).reshape(-1, width, 4)
         for array in (joints, weights)
     ]
-    layers = -(-asset.num_joints // 4)
-    dense = np.zeros((height, width, layers * 4), np.uint8)
-    np.put_along_axis(dense, joints[..., ::-1], weights[..., ::-1].astype(np.uint8), axis=-1)
     dense_stack = dense.reshape(height, width, layers, 4).transpose(2, 0, 1, 3).reshape(-1, width, 4)
     bench.textures = {
         "texel_joints": plain_texture(ctx, stacked[0].astype(np.uint16), "u2"),
