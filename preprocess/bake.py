@@ -32,8 +32,15 @@ def cover_atlas(mesh: SkinnedMesh, width: int, height: int) -> Coverage:
     return rasterise(mesh.surface.uvs, mesh.surface.face_uvs, width, height)
 
 
+def bake_surface_positions(mesh: SkinnedMesh, size: tuple[int, int]) -> Floats:
+    """Object-space positions of the surface under each texel, metres, (H, W, 3) float64; size is (width, height)."""
+    coverage = cover_atlas(mesh, *size)
+    texels = interpolate_corners(coverage, mesh.surface.positions[mesh.surface.faces])
+    return fill_outside(texels, coverage.faces >= 0)
+
+
 def bake_positions(mesh: SkinnedMesh, size: tuple[int, int]) -> Floats:
-    """Object-space positions, metres.
+    """Object-space positions, metres, right at the vertices.
 
     Parameters
     ----------
@@ -46,9 +53,7 @@ def bake_positions(mesh: SkinnedMesh, size: tuple[int, int]) -> Floats:
     (H, W, 3) float64
     """
     surface = mesh.surface
-    coverage = cover_atlas(mesh, *size)
-    texels = interpolate_corners(coverage, surface.positions[surface.faces])
-    texels = fill_outside(texels, coverage.faces >= 0)
+    texels = bake_surface_positions(mesh, size)
     return fit_vertices(texels, surface.uvs, vertex_values(mesh, surface.positions))
 
 

@@ -7,6 +7,7 @@ levels really have: positions that a small texture misses are parked, and the we
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import logging
 from collections.abc import Sequence
 from typing import Any
@@ -21,6 +22,7 @@ from preprocess.gltf.locate import locate_corners
 from preprocess.mesh import Floats, SkinnedMesh
 from preprocess.parking import park_vertices
 from preprocess.raster import rasterise
+from preprocess.seams import find_seams
 from preprocess.stored_texture import StoredTexture
 from preprocess.texels import px_to_uv
 from preprocess.weight_details import WeightPoints, detail_weights, pose_moves
@@ -29,9 +31,11 @@ from preprocess.weights import unpack_weights
 log = logging.getLogger(__name__)
 
 SAME_UV = 1e-6  # vertices whose uvs are no further apart are told apart by where they are
+OUTLINE_PX = 1024  # points for the length of a side, along charts' outlines
 SAMPLES_PX = 256  # the surface between vertices is looked at in a grid at least so fine
 VERTEX_REL = 5e-4  # error allowed at the full mesh's vertices, of the diagonal: a quarter of the goal
 LEVEL_SHARE = 0.25  # at those of coarser levels, of the level's error
+OUTSIDE_REL = 2e-2  # where triangles of coarse levels leave the charts: no more than that it does not stand out
 INSIDE_RELS = (1.5e-3, 3e-3, 6e-3, 1.2e-2, np.inf)  # errors allowed there, of the diagonal: the first that fits
 LEAF_BYTES, BYTES_A_VERTEX = 20, 20  # details take no more than this for every vertex of every level
 
@@ -93,6 +97,35 @@ def _points_inside(mesh: SkinnedMesh, side: int) -> tuple[Floats, _OnFullMesh]:
     return uvs, _OnFullMesh(corners, coverage.barycentrics[row, column].astype(np.float64))
 
 
+def _points_on_outlines(mesh: SkinnedMesh) -> tuple[Floats, _OnFullMesh]:
+    """Points along the charts' outlines, where cells of a coarse map blend neighbouring charts: uvs (N, 2), places."""
+    seams = find_seams(mesh.surface)
+    ends = np.concatenate([seams.uv_pairs.reshape(-1, 2), seams.boundary_uvs]).astype(np.int64)
+    end_uvs = mesh.surface.uvs[ends]
+    counts = np.ceil(np.linalg.norm(end_uvs[:, 1] - end_uvs[:, 0], axis=1) * OUTLINE_PX).astype(np.int64)
+    edge = np.repeat(np.arange(len(ends)), counts)
+    number = np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts)
+    share = (number + 0.5) / counts[edge]
+    shares = np.stack([1.0 - share, share, np.zeros(len(edge))], axis=1)
+    corners = _vertices_of_uvs(mesh)[ends[edge][:, [0, 1, 1]]]
+    uvs = np.einsum("nk,nkc->nc", shares[:, :2], end_uvs[edge])
+    return uvs, _OnFullMesh(corners, shares)
+
+
+def _points_outside(lods: Sequence[Lod], side: int) -> tuple[list[Floats], list[tuple[NDArray[np.int64], Floats]]]:
+    """Points of coarser exact levels' triangles outside all charts: uvs, vertices and their shares, a level each."""
+    grid = side * -(-SAMPLES_PX // side)
+    full = rasterise(lods[0].uvs, lods[0].face_uvs, grid, grid, 0.0).inside
+    uvs, places = [], []
+    for lod in itertools.takewhile(lambda lod: lod.exact, lods[1:]):
+        coverage = rasterise(lod.uvs, lod.face_uvs, grid, grid, 0.0)
+        row, column = np.nonzero((coverage.faces >= 0) & ~full)
+        uvs.append(px_to_uv(np.stack([column, row], axis=1).astype(np.float64), grid, grid))
+        shares = coverage.barycentrics[row, column].astype(np.float64)
+        places.append((lod.faces[coverage.faces[row, column]].astype(np.int64), shares))
+    return uvs, places
+
+
 def _detail(
     weights: StoredTexture, mesh: SkinnedMesh, lods: Sequence[Lod], owners: Sequence[_OnFullMesh], poses: Floats
 ) -> StoredTexture:
@@ -100,23 +133,31 @@ def _detail(
     num_joints, surface = poses.shape[1], mesh.surface
     stored = unpack_weights(_as_integers(weights), weights.size, num_joints)
     inside_uvs, inside = _points_inside(mesh, weights.size[0])
-    copies = _at_vertices(_vertices_of_uvs(mesh))
-    uvs = [*(lod.fetch_uvs for lod in lods if lod.fetch_uvs is not None), surface.uvs, inside_uvs]
-    on_mesh = [*owners, copies, inside]
-    dense = mesh.dense_weights(num_joints)
+    outside_uvs, outside = _points_outside(lods, weights.size[0])
+    vertex_uvs = [lod.fetch_uvs for lod in lods if lod.fetch_uvs is not None]
+    outline_uvs, outline = _points_on_outlines(mesh)
+    uvs = [*vertex_uvs, surface.uvs, inside_uvs, outline_uvs, *outside_uvs]
+    counts = [len(part) for part in uvs]
+    on_mesh = [*owners, _at_vertices(_vertices_of_uvs(mesh)), inside, outline]
+    weights_of, positions_of = (
+        [part.blend(values) for part in on_mesh] for values in (mesh.dense_weights(num_joints), surface.positions)
+    )
+    for values in (weights_of, positions_of):
+        of_owners = values[1 : len(lods)]
+        values += [np.einsum("nk,nkc->nc", shares, part[at]) for part, (at, shares) in zip(of_owners, outside)]
     errors_rel = [lod.error_m / surface.diagonal_m for lod in lods[1:]]
-    allowed = [VERTEX_REL, *(max(VERTEX_REL, LEVEL_SHARE * error_rel) for error_rel in errors_rel), VERTEX_REL, np.nan]
+    allowed = [VERTEX_REL, *(max(VERTEX_REL, LEVEL_SHARE * error_rel) for error_rel in errors_rel)]
     points = WeightPoints(
         np.concatenate(uvs),
-        np.concatenate([part.blend(dense) for part in on_mesh]),
-        np.concatenate([part.blend(surface.positions) for part in on_mesh]),
-        np.arange(sum(map(len, uvs))) < sum(map(len, uvs)) - len(inside_uvs),
-        np.repeat(allowed, [len(part) for part in uvs]),
+        np.concatenate(weights_of),
+        np.concatenate(positions_of),
+        np.arange(sum(counts)) < sum(counts[: len(lods)]),
+        np.repeat([*allowed, 0.0, 0.0, 0.0, *[OUTSIDE_REL] * len(outside)], counts),
     )
     moves = pose_moves(poses, surface.diagonal_m)
     budget = BYTES_A_VERTEX * sum(len(lod.positions) for lod in lods)
     for inside_rel in INSIDE_RELS:
-        allowed_rel = np.where(points.is_vertex, points.allowed_rel, inside_rel)
+        allowed_rel = np.where(points.is_vertex, points.allowed_rel, np.maximum(points.allowed_rel, inside_rel))
         details = detail_weights(stored, dataclasses.replace(points, allowed_rel=allowed_rel), moves)
         if LEAF_BYTES * len(details.depths) <= budget:
             break

@@ -24,6 +24,7 @@ from runtime.touched_cells import touched_cells
 log = logging.getLogger(__name__)
 
 BLOCK = 4  # free texels are taken from whole free squares first, so that parked points lie together
+LEVEL_SHARE = 0.1  # of a coarser level's error that its vertices may be off
 STORED_STEPS = 4  # each leaves a few thousandths of the error: 16-bit uvs miss the texel's centre by so much
 
 
@@ -75,12 +76,15 @@ def park_vertices(
     """
     height, width = texels.shape[:2]
     wanted = [full_positions, *(lod.positions for lod in lods[1:])]
+    allowed = [PARK_REL, *(max(PARK_REL, LEVEL_SHARE * lod.error_m / diagonal_m) for lod in lods[1:])]
     places = [_distinct(snap_owner_uvs(own), own) for own in (lod.uvs[lod.owner_uvs] for lod in lods)]
-    points = np.concatenate([np.c_[uvs, positions] for uvs, positions in zip(places, wanted)])
-    points, point_of = np.unique(points, axis=0, return_inverse=True)
+    rows = [np.c_[uvs, positions] for uvs, positions in zip(places, wanted)]
+    points, point_of = np.unique(np.concatenate(rows), axis=0, return_inverse=True)
     uvs, positions = points[:, :2], points[:, 2:]
+    allowed_rel = np.full(len(points), np.inf)
+    np.minimum.at(allowed_rel, point_of.ravel(), np.repeat(allowed, [len(part) for part in wanted]))
     off_rel = np.linalg.norm(sample_bilinear(texels, uvs) - positions, axis=1) / max(diagonal_m, 1e-30)
-    off = np.flatnonzero(off_rel > PARK_REL)
+    off = np.flatnonzero(off_rel > allowed_rel)
     off = off[np.argsort(-off_rel[off], kind="stable")]
     free = free_texels(lods, (width, height), margin_uv)[: len(off)]
     parked = off[: len(free)]

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from preprocess.atlas import Atlas, build_atlas
+from preprocess.bake import bake_surface_positions
 from preprocess.decimate import Chain, DecimateOptions, decimate
 from preprocess.folder import MANIFEST, whole_folder
 from preprocess.gltf import Character, load_character
@@ -27,6 +28,7 @@ log = logging.getLogger(__name__)
 
 POSES_A_CLIP = 2  # sampled moments of each clip for sizes, costs and errors
 MAX_POSES = 8
+SURFACE_PX = 1024  # side of the texture that stands for the surface when levels are costed
 GUTTER_SIZE_PX, GUTTER_PX = 512, 4.0  # charts stay apart in geometry and weight textures of this size
 
 
@@ -141,7 +143,9 @@ def _build_lods(
 ) -> Chain:
     """The chain of levels, costed and measured in the sampled poses."""
     mesh = atlas.mesh
-    position = next(t for t in textures if t.name == "position")
+    # Levels are costed where the surface is: what the stored texture misses is made up for by `fit_levels`.
+    side = max(SURFACE_PX, *(max(t.size) for t in textures if t.name == "position"))
+    position = bake_surface_positions(mesh, (side, side))
     dense = mesh.dense_weights(poses.shape[1])
     blended = np.einsum("vj,pjik->pvik", dense, poses[:, :, :3])
     options = DecimateOptions(
@@ -152,7 +156,7 @@ def _build_lods(
     return decimate(
         mesh.surface,
         options,
-        position_texture=position.levels[0].astype(np.float64),
+        position_texture=position,
         poses=blended,
         face_groups=draw_groups(character, mesh.face_materials),
     )

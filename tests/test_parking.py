@@ -1,0 +1,83 @@
+"""Vertices that the position texture misses get texels of their own, outside every triangle of every level."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from preprocess.decimate import Lod
+from preprocess.parking import free_texels, park_vertices
+from preprocess.settings import PARK_REL
+from preprocess.texels import sample_bilinear, snap_owner_uvs
+from runtime.touched_cells import touched_cells
+
+SIZE = (32, 32)
+
+
+def crowded_level(seed: int = 0) -> Lod:
+    """A fan of triangles in a corner of the atlas, its vertices far closer than texels, with unrelated positions."""
+    rng = np.random.default_rng(seed)
+    angles = np.linspace(0.0, 2 * np.pi, 12, endpoint=False)
+    uvs = np.r_[[(0.3, 0.3)], 0.3 + 0.01 * np.c_[np.cos(angles), np.sin(angles)]]
+    ring = np.arange(1, 13)
+    faces = np.stack([np.zeros(12, int), ring, np.roll(ring, -1)], axis=1).astype(np.int32)
+    return Lod(
+        uvs=uvs,
+        face_uvs=faces,
+        faces=faces,
+        owner_uvs=np.arange(13, dtype=np.int32),
+        face_source=np.zeros(12, np.int32),
+        positions=rng.normal(size=(13, 3)),
+        error_m=0.0,
+    )
+
+
+def test_parked_vertices_are_exact_and_others_stay() -> None:
+    lod = crowded_level()
+    texels = np.random.default_rng(1).normal(size=(*SIZE, 3)).astype(np.float32)
+    wanted = lod.positions.copy()
+    wanted[5] = sample_bilinear(texels, snap_owner_uvs(lod.uvs[5:6]))[0]  # one that the texture has right
+    stored, (fitted,) = park_vertices(texels, [lod], wanted, 1.0, 0.0)
+    assert fitted.fetch_uvs is not None
+    fetched = sample_bilinear(stored, fitted.fetch_uvs)
+    assert np.array_equal(fetched, fitted.positions)
+    assert np.abs(fetched - wanted).max() < 1e-5 and fitted.error_m < 1e-5
+    assert np.array_equal(fitted.fetch_uvs[5], snap_owner_uvs(lod.uvs)[5])
+    assert len(np.unique(fitted.fetch_uvs, axis=0)) == 13
+    assert np.array_equal(snap_owner_uvs(fitted.fetch_uvs), fitted.fetch_uvs)
+
+
+def test_nothing_that_triangles_read_changes() -> None:
+    lod = crowded_level()
+    texels = np.random.default_rng(1).normal(size=(*SIZE, 3)).astype(np.float32)
+    stored, _ = park_vertices(texels, [lod], lod.positions, 1.0, 0.0)
+    rows, columns = np.nonzero(touched_cells(lod.uvs, lod.face_uvs, SIZE))
+    for y in (0, 1):
+        for x in (0, 1):
+            assert np.array_equal(stored[rows + y, columns + x], texels[rows + y, columns + x])
+    assert (stored != texels).any(axis=2).sum() == 13
+
+
+def test_free_texels_are_apart_from_triangles_and_the_edge() -> None:
+    lod = crowded_level()
+    free = free_texels([lod], SIZE, 3.0 / 32)
+    assert len(np.unique(free, axis=0)) == len(free) > 500
+    assert free.min() >= 3 and free.max() <= 28
+    near = np.abs((free + 0.5) / 32 - 0.3).max(axis=1) < 0.01
+    assert not near.any()
+
+
+def test_without_room_the_error_says_so() -> None:
+    lod = crowded_level()
+    texels = np.zeros((2, 2, 3), np.float32)  # its one cell is read
+    stored, (fitted,) = park_vertices(texels, [lod], lod.positions, 1.0, 0.0)
+    assert np.array_equal(stored, texels)
+    assert fitted.error_m > PARK_REL and np.isclose(fitted.error_m, np.linalg.norm(lod.positions, axis=1).max())
+
+
+def test_vertices_in_one_place_keep_their_uvs() -> None:
+    lod = crowded_level()
+    lod.uvs[1] = (0.31, 0.3001)
+    lod.uvs[2] = lod.uvs[1] + 1e-9
+    texels = np.zeros((*SIZE, 3), np.float32)
+    _, (fitted,) = park_vertices(texels, [lod], np.zeros((13, 3)), 1.0, 0.0)
+    assert fitted.fetch_uvs is not None and np.array_equal(fitted.fetch_uvs, lod.uvs)
