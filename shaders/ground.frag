@@ -42,10 +42,11 @@ void main() {
     vec2 inside = fract(world + vec2(0.5 * mod(floor(world.y), 2.0), 0.0)) - 0.5;
     float away = length(ground_position) / unit_m;
     vec2 pixel = fwidth(world) + 1e-4;
+    float coarse = max(pixel.x, pixel.y);  // slabs a pixel: what is finer than a pixel fades into its mean
     vec2 edge = smoothstep(0.485 - 1.2 * pixel, vec2(0.485) + 0.3 * pixel, abs(inside)) / (1.0 + 12.0 * pixel);
-    float joint = max(edge.x, edge.y);
-    float grain = mix(hash(floor(world * 40.0)) - 0.5, 0.0, min(40.0 * max(pixel.x, pixel.y), 1.0));
-    float shade = mix(0.27 + 0.07 * hash(slab) / (1.0 + 2.0 * max(pixel.x, pixel.y)) + 0.02 * grain, 0.13, joint);
+    float joint = max(edge.x, edge.y) * exp(-8.0 * coarse * coarse);
+    float grain = (hash(floor(world * 40.0)) - 0.5) * max(1.0 - 40.0 * coarse, 0.0);
+    float shade = mix(0.30 + 0.07 * (hash(slab) - 0.5) * exp(-4.0 * coarse) + 0.02 * grain, 0.13, joint);
     float turn = 6.2831853 * place_noise(gl_FragCoord.xy);
     float near_share, far_share;
     float near_lit = sunlight(near_sun_depth, near_sun_from_world, 0.0016, turn, near_share);
