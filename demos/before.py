@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from demos.errors import DemoError
 from preprocess.atlas import Atlas, build_atlas
 from preprocess.bake import bake_positions, bake_weights, cover_atlas
+from preprocess.borders import find_color_borders
 from preprocess.creases import bake_surface, find_normal_uvs
 from preprocess.errors import InputError
 from preprocess.gltf import Character, load_character
@@ -87,7 +88,8 @@ def without_erasure(asset: Asset, source: Path) -> Asset:
     baked["position"] = TextureData("position", (positions.astype(np.float32),))
     packed = pack_weights(bake_weights(mesh, asset.num_joints, asset.weight_size))
     baked["weights"] = TextureData("weights", (packed.stack,))
-    uvs = find_normal_uvs(mesh, sizes["normal"])
+    borders = find_color_borders(character, mesh, sizes["normal"]).half_edges() if asset.colors_moved else None
+    uvs = find_normal_uvs(mesh, sizes["normal"], borders)
     normal_mesh = mesh if uvs is None else mesh.with_surface(bake_surface(mesh.surface, uvs))
     coverage = cover_atlas(normal_mesh, *sizes["normal"])
     texcoord = next((m.normal.texcoord for m in character.materials if m.normal is not None), None)
@@ -95,8 +97,9 @@ def without_erasure(asset: Asset, source: Path) -> Asset:
     normals = bake_normals(character, normal_mesh, tangents, coverage)
     baked["normal"] = dataclasses.replace(_box_mips(0.5 * normals + 0.5, 65535, np.uint16), name="normal")
     side = sizes["base_color"][0]
+    color_mesh = normal_mesh if asset.colors_moved else mesh
     for texture in bake_materials(
-        character, mesh, atlas.resampled, side, lambda width, height: cover_atlas(mesh, width, height)
+        character, color_mesh, atlas.resampled, side, lambda width, height: cover_atlas(color_mesh, width, height)
     ):
         if texture.name in baked:
             plain = _box_mips(texture.texels, 255, np.uint8)
