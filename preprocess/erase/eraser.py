@@ -118,6 +118,7 @@ class Eraser:
         sample_values: Floats | None = None,
         end_values: Floats | None = None,
         bounds: tuple[float, float] | None = None,
+        jump_limit: float | None = None,
     ) -> Erased:
         """Erase the seams of one texture.
 
@@ -131,6 +132,8 @@ class Eraser:
             by default the texture's own there, the mean over a surface vertex's uv images.
         bounds : (float, float), optional
             Range to stay in. Texels that seams read are solved for within it (to 1e-5 of the values' range).
+        jump_limit : float, optional
+            Instead of that of the options.
 
         Returns
         -------
@@ -141,7 +144,8 @@ class Eraser:
         ValueError
             If the size is not the planned one or a texel is not finite.
         """
-        solution = self._solve(texels, 1.0, sample_values, end_values, bounds)
+        limit = self.options.jump_limit if jump_limit is None else jump_limit
+        solution = self._solve(texels, 1.0, sample_values, end_values, bounds, limit)
         result = np.array(texels, np.float64, order="C", copy=True)
         flat = result.reshape(-1, result.shape[2])
         source = texels.reshape(flat.shape)
@@ -180,7 +184,7 @@ class Eraser:
     ) -> tuple[Erased, float]:
         """Erased integers, and their largest jump in steps."""
         levels = int(np.iinfo(stored.dtype).max)
-        solution = self._solve(stored, 1.0 / levels, None, end_values, bounds)
+        solution = self._solve(stored, 1.0 / levels, None, end_values, bounds, self.options.jump_limit)
         result = np.array(stored, order="C", copy=True)
         flat = result.reshape(-1, result.shape[2])
         source = stored.reshape(flat.shape)
@@ -221,6 +225,7 @@ class Eraser:
         sample_values: Floats | None,
         end_values: Floats | None,
         bounds: tuple[float, float] | None,
+        jump_limit: float | None,
     ) -> Solution:
         """Change of the nodes for texels times scale."""
         height, width, channels = texels.shape
@@ -241,10 +246,10 @@ class Eraser:
         jump = self.factor.jump @ free_values
         tolerance = TOLERANCE_REL if self.options.seam_weight is None else np.inf
         goal, repeats = np.zeros_like(jump), LIMIT_REPEATS
-        if self.options.jump_limit is None:
+        if jump_limit is None:
             free, after, repeats = solve_change(self.factor, force / span, jump / span, tolerance)
         else:
-            free, after, goal = solve_limited(self.factor, force / span, jump / span, self.options.jump_limit / span)
+            free, after, goal = solve_limited(self.factor, force / span, jump / span, jump_limit / span)
         if bounds is not None:
             free, after = self._keep_range(force / span, jump / span, goal, free, after, values / span, bounds, span)
         return Solution(

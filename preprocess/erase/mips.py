@@ -27,6 +27,9 @@ from preprocess.erase.strip import SeamMeasure
 from preprocess.mesh import Floats, TexturedSurface
 from preprocess.seams import Seams
 
+# Limit of the jump, as a share of the one asked for, where 8-bit rounding would leave more than half a step.
+TIGHTER = 0.2
+
 
 @dataclass(frozen=True)
 class Level:
@@ -102,6 +105,14 @@ def _change(texels: Floats, before: Floats, inside: NDArray[np.bool_]) -> float:
     return float(np.sqrt(np.square(texels[inside] - before[inside]).mean())) if inside.any() else 0.0
 
 
+def _stored(texels: Floats, plan: Eraser, levels: int) -> tuple[NDArray[Any], SeamMeasure]:
+    """A level as it is stored, and its jump."""
+    if not levels:
+        return texels, plan.measure(texels)
+    rounded = quantise(texels, plan.strip, levels)
+    return rounded, plan.measure(rounded / float(levels))
+
+
 def erase_mips(
     texels: Floats,
     surface: TexturedSurface,
@@ -132,8 +143,8 @@ def erase_mips(
     most_change : float, optional
         It ends before the first level whose inside texels erasure moves by more than this, root mean square.
     plans : dict, optional
-        Erasers by (width, height) for the same surface, seams and options: used where there is one, and filled, so
-        that several textures share them.
+        Erasers by (width, height) for the same surface, seams and options but for the jump limit: used where there is
+        one, and filled, so that several textures share them.
 
     Returns
     -------
@@ -154,13 +165,15 @@ def erase_mips(
         if (w, h) not in plans:
             plans[w, h] = plan_erasure(surface, seams, w, h, options)
         plan = plans[w, h]
-        erased = plan.erase(current, bounds=(0.0, 1.0) if levels else None)
+        erased = plan.erase(current, bounds=(0.0, 1.0) if levels else None, jump_limit=options.jump_limit)
         if chain and most_change is not None and _change(erased.texels, current, plan.region.inside) > most_change:
             break
-        result = quantise(erased.texels, plan.strip, levels) if levels else erased.texels
-        after = plan.measure(erased.texels)
-        stored = plan.measure(result / float(levels)) if levels else after
-        chain.append(Level(result, plan.measure(current), after, stored))
+        result, stored = _stored(erased.texels, plan, levels)
+        if levels == 255 and options.jump_limit is not None and stored.max.max(initial=0.0) > 0.5 / levels:
+            # Rounding found no room beside the jumps of this level: smaller ones leave some.
+            erased = plan.erase(current, bounds=(0.0, 1.0), jump_limit=options.jump_limit * TIGHTER)
+            result, stored = _stored(erased.texels, plan, levels)
+        chain.append(Level(result, plan.measure(current), plan.measure(erased.texels), stored))
         current = erased.texels
         used = plan.region.used
     return tuple(chain)
