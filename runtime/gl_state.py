@@ -48,6 +48,9 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "glUseProgram": (None, _U), "glBindVertexArray": (None, _U), "glBindBuffer": (None, _U, _U),
     "glBindBufferBase": (None, _U, _U, _U), "glBindBufferRange": (None, _U, _U, _U, ctypes.c_ssize_t, ctypes.c_ssize_t),
     "glActiveTexture": (None, _U), "glBindTexture": (None, _U, _U), "glBindSampler": (None, _U, _U),
+    "glTexSubImage2D": (None, _U, _I, _I, _I, _I, _I, _U, _U, _P),
+    "glTexImage2D": (None, _U, _I, _I, _I, _I, _I, _U, _U, _P), "glTexParameteri": (None, _U, _U, _I),
+    "glGetTexLevelParameteriv": (None, _U, _I, _U, _P),
     "glPixelStorei": (None, _U, _I), "glPatchParameteri": (None, _U, _I),
     "glCreateShader": (_U, _U), "glShaderSource": (None, _U, _I, _P, _P), "glCompileShader": (None, _U),
     "glGetShaderiv": (None, _U, _U, _P), "glGetShaderInfoLog": (None, _U, _I, _P, _P), "glDeleteShader": (None, _U),
@@ -127,6 +130,37 @@ def _loader() -> Any:
 def functions() -> Functions:
     """GL's functions, looked up once."""
     return Functions()
+
+
+TEXTURE_INTERNAL_FORMAT, TEXTURE_MAX_LEVEL = 0x1003, 0x813D
+TEXEL_FORMATS = {1: 0x1903, 2: 0x8227, 3: 0x1907, 4: 0x1908}  # red to RGBA, by the number of channels
+TEXEL_TYPES = {"uint8": UNSIGNED_BYTE, "uint16": 0x1403, "float16": 0x140B, "float32": FLOAT}
+
+
+def allocate_mips(size: tuple[int, int], count: int) -> None:
+    """Make room for further levels of the 2D texture that is bound: nothing is computed, as `glGenerateMipmap` would.
+
+    Parameters
+    ----------
+    size : width and height of level 0, which must be there and hold no integers
+    count : int
+        Levels below it.
+    """
+    gl, form = functions(), ctypes.c_int()
+    gl.glGetTexLevelParameteriv(TEXTURE_2D, 0, TEXTURE_INTERNAL_FORMAT, ctypes.byref(form))
+    for level in range(1, count + 1):
+        width, height = (max(1, side >> level) for side in size)
+        gl.glTexImage2D(TEXTURE_2D, level, form.value, width, height, 0, TEXEL_FORMATS[4], UNSIGNED_BYTE, None)
+    gl.glTexParameteri(TEXTURE_2D, TEXTURE_MAX_LEVEL, count)
+
+
+def write_rows(texels: Any, level: int, first: int) -> None:
+    """Write whole rows, a contiguous array (R, W, C), into a level of the 2D texture that is bound."""
+    gl = functions()
+    rows, width, channels = texels.shape
+    gl.glPixelStorei(UNPACK_ALIGNMENT, 1)
+    kind = TEXEL_TYPES[texels.dtype.name]
+    gl.glTexSubImage2D(TEXTURE_2D, level, 0, first, width, rows, TEXEL_FORMATS[channels], kind, texels.ctypes.data)
 
 
 SHADER_STAGES = {"vert": 0x8B31, "frag": 0x8B30, "geom": 0x8DD9, "tesc": 0x8E88, "tese": 0x8E87}

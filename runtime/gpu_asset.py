@@ -144,10 +144,10 @@ class Model:
             filtered[f"{name}_texture"] = (asset.textures.get(name) or TextureData(name, (_WHITE,))).levels
         for name, levels in filtered.items():
             self.textures[name] = self._keep(make_texture(self.ctx, levels[0], levels[1:]))
-            yield from fill_texture(self.textures[name], levels)
+            yield from fill_texture(self.ctx, self.textures[name], levels)
         for name, texels in exact.items():
             self.textures[name] = self._keep(make_texture(self.ctx, texels, linear=False))
-            yield from fill_texture(self.textures[name], (texels,))
+            yield from fill_texture(self.ctx, self.textures[name], (texels,))
         integer_normals = asset.textures["normal"].levels[0].dtype.kind == "u"
         self.constants: dict[str, Any] = {
             "position_scale": tuple(prepared.position_scale),

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from runtime.asset import Asset
 from runtime.errors import RenderError
+from runtime.gl_state import allocate_mips, write_rows
 from runtime.touched_cells import touched_cells
 from runtime.weight_cells import WeightCells, build_weight_cells
 
@@ -48,7 +49,8 @@ def make_texture(
     height, width, channels = texels.shape
     texture = ctx.texture((width, height), channels, alignment=1, dtype=dtype)
     if mips:
-        texture.build_mipmaps(0, len(mips))
+        texture.use(ctx.default_texture_unit)
+        allocate_mips((width, height), len(mips))
         texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
     else:
         texture.filter = (moderngl.LINEAR, moderngl.LINEAR) if linear else (moderngl.NEAREST, moderngl.NEAREST)
@@ -56,14 +58,18 @@ def make_texture(
     return texture
 
 
-def fill_texture(texture: moderngl.Texture, levels: tuple[NDArray[Any], ...]) -> Iterator[None]:
+def fill_texture(ctx: moderngl.Context, texture: moderngl.Texture, levels: tuple[NDArray[Any], ...]) -> Iterator[None]:
     """Write a texture's levels, some rows at a time: `SLICE_BYTES` at most, at least one row."""
     for level, texels in enumerate(levels):
         height, width = texels.shape[:2]
         rows = max(1, SLICE_BYTES // max(texels[0].nbytes, 1))
         for first in range(0, height, rows):
             part = np.ascontiguousarray(texels[first : first + rows])
-            texture.write(part, viewport=(0, first, width, len(part)), level=level, alignment=1)
+            if level:  # moderngl knows no levels that it has not made itself
+                texture.use(ctx.default_texture_unit)
+                write_rows(part, level, first)
+            else:
+                texture.write(part, viewport=(0, first, width, len(part)), alignment=1)
             yield
 
 

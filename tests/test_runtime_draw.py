@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,7 @@ from runtime.camera import Camera
 from runtime.environment import Environment, Lighting
 from runtime.errors import RenderError
 from runtime.gl_state import saved_state
+from runtime.gpu_textures import fill_texture, make_texture
 from runtime.programs import build_program
 from runtime.views import VIEWS
 
@@ -289,3 +292,39 @@ def test_what_a_material_lacks_is_left_out_unseen(scene: Scene, view: str, monke
     monkeypatch.setattr("runtime.passes.what_it_lacks", lambda model, material: ())
     assert (scene.picture([actor], view=view) == lean).all()
     assert any("NO_CUTOUT" not in key for key in scene.renderer._passes._programs)
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize("channels", [3, 4])
+def test_every_texel_of_every_mip_level_arrives(ctx: moderngl.Context, kind: type, channels: int) -> None:
+    """Odd sizes and rows that are no multiple of four bytes; read back by the driver's own call."""
+    rng = np.random.default_rng(4)
+    levels = tuple(
+        (rng.uniform(0, 1 if kind is np.float32 else np.iinfo(kind).max, (max(1, 13 >> k), max(1, 22 >> k), channels)))
+        .astype(kind) for k in range(5)
+    )  # fmt: skip
+    read = ctypes.CFUNCTYPE(None, ctypes.c_uint, ctypes.c_int, ctypes.c_uint, ctypes.c_uint, ctypes.c_void_p)(
+        gl_state._loader()("glGetTexImage")
+    )
+    with saved_state((ctx.default_texture_unit,), (), False):
+        texture = make_texture(ctx, levels[0], levels[1:])
+        for _ in fill_texture(ctx, texture, levels):
+            pass
+        texture.use(ctx.default_texture_unit)
+        with packed_rows():
+            for level, wanted in enumerate(levels):
+                found = np.zeros_like(wanted)
+                form, code = gl_state.TEXEL_FORMATS[channels], gl_state.TEXEL_TYPES[wanted.dtype.name]
+                read(gl_state.TEXTURE_2D, level, form, code, found.ctypes.data)
+                assert (found == wanted).all(), level
+    texture.release()
+
+
+@contextmanager
+def packed_rows() -> Iterator[None]:
+    """Rows read back lie close together meanwhile."""
+    gl, pack_alignment = gl_state.functions(), 0x0D05
+    before = gl.integer(pack_alignment)
+    gl.glPixelStorei(pack_alignment, 1)
+    yield
+    gl.glPixelStorei(pack_alignment, before)
