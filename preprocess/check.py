@@ -22,6 +22,7 @@ from preprocess.folder import MANIFEST
 from preprocess.mesh import Floats, TexturedSurface
 from preprocess.seams import Seams, find_seams
 from preprocess.texels import sample_bilinear
+from preprocess.weight_details import measure_jump
 from preprocess.weights import unpack_weights
 from runtime.asset import Asset, LodMesh, load
 from runtime.errors import AssetError
@@ -99,7 +100,10 @@ def measure_asset(asset: Asset) -> Iterator[tuple[str, str, bool]]:
             claim = entry["seam"]["stored"][level]
             if level == 0:
                 joined = _joined(texels, *ground, entry["seam"].get("left", 0))
-            rms, largest = _jump(texels, *ground, joined)
+            if name == "weights":
+                rms, largest = measure_jump(texels, asset.weight_details, *ground)
+            else:
+                rms, largest = _jump(texels, *ground, joined)
             holds = rms <= SLACK_REL * claim["rms"] + SLACK_ABS and largest <= SLACK_REL * claim["max"] + SLACK_ABS
             yield f"{name} level {level}", f"jump rms {rms:.3g} max {largest:.3g}", holds
     edges = _open_edges(finest)

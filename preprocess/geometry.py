@@ -72,8 +72,9 @@ def store_weights(mesh: SkinnedMesh, seams: Seams, num_joints: int, side: int | 
     eraser = plan_erasure(surface, seams, side, side, WEIGHT_OPTIONS, sample_uvs=surface.uvs)
     erased = np.zeros_like(baked)
     erased[..., used] = eraser.erase(baked[..., used], sample_values=values).texels
-    erased[..., used] = settle_weights(erased[..., used], baked[..., used], surface.uvs, values)
-    packed = pack_weights(erased)
+    settled = np.zeros_like(baked)
+    settled[..., used] = settle_weights(erased[..., used], baked[..., used], surface.uvs, values)
+    packed = pack_weights(settled)
     stored = unpack_weights(packed.stack, (side, side), num_joints)
     seam = seam_report(surface, seams, baked, erased, stored)
     extra = {"layout": "texel-joints", "slots": packed.slots}

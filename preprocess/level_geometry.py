@@ -25,7 +25,7 @@ from preprocess.raster import rasterise
 from preprocess.seams import find_seams
 from preprocess.stored_texture import StoredTexture
 from preprocess.texels import px_to_uv
-from preprocess.weight_details import WeightPoints, detail_weights, pose_moves
+from preprocess.weight_details import WeightPoints, detail_weights, measure_jump, pose_moves
 from preprocess.weights import unpack_weights
 
 log = logging.getLogger(__name__)
@@ -36,7 +36,7 @@ SAMPLES_PX = 256  # the surface between vertices is looked at in a grid at least
 VERTEX_REL = 5e-4  # error allowed at the full mesh's vertices, of the diagonal: a quarter of the goal
 LEVEL_SHARE = 0.25  # at those of coarser levels, of the level's error
 OUTSIDE_REL = 2e-2  # where triangles of coarse levels leave the charts: no more than that it does not stand out
-INSIDE_RELS = (1.5e-3, 3e-3, 6e-3, 1.2e-2, np.inf)  # errors allowed there, of the diagonal: the first that fits
+INSIDE_RELS = (1.5e-3, 3e-3, 6e-3, 1.2e-2)  # errors allowed there, of the diagonal: the first that fits
 LEAF_BYTES, BYTES_A_VERTEX = 20, 20  # details take no more than this for every vertex of every level
 
 
@@ -162,7 +162,9 @@ def _detail(
         if LEAF_BYTES * len(details.depths) <= budget:
             break
     log.info("weights: %d leaves over a map of %d x %d, inside to %.2g", len(details.depths), *weights.size, inside_rel)
-    return dataclasses.replace(weights, details=details if len(details.depths) else None)
+    rms, largest = measure_jump(stored, details, surface, find_seams(surface))
+    seam = {**weights.seam, "stored": [{"rms": rms, "max": largest}]}
+    return dataclasses.replace(weights, details=details if len(details.depths) else None, seam=seam)
 
 
 def _as_integers(texture: StoredTexture) -> NDArray[Any]:

@@ -19,7 +19,7 @@ from preprocess.texels import sample_bilinear
 
 log = logging.getLogger(__name__)
 
-GEOMETRY_SIZES_PX = (48, 64, 96, 128, 192, 256, 320, 384, 512, 768, 1024, 1536, 2048)
+GEOMETRY_SIZES_PX = (48, 56, 64, 80, 96, 128, 160, 192, 224, 256, 320, 384, 512, 768, 1024, 1536, 2048)
 TEXELS_A_VERTEX = 1.5  # fewer cannot hold a value of its own for every vertex
 RMS_SHARE = 0.8  # of the accuracy goal at the vertices that stay: weights and rounding add their own part
 PARKED_SHARE = 0.1  # of the vertices at most

@@ -17,7 +17,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from preprocess.mesh import Floats
+from preprocess.mesh import Floats, TexturedSurface
+from preprocess.seams import Seams
 from preprocess.texels import sample_bilinear, uv_to_px
 from preprocess.weights import pack_weights, unpack_weights
 from runtime.weight_details import WeightDetails, build_quadtree
@@ -27,6 +28,7 @@ WEIGHT_ALLOWED = 60.0  # how far any weight may be off, times how far points may
 VERTEX_PULL = 1e4  # of a vertex in a fit, against a point between vertices
 HOLD = 1e-2  # of the coarser weights, where nothing else says what a corner has
 ALTERNATIONS = 4  # between the points' own weights and partitions of unity
+JUMP_POINTS = 32  # on every seam edge
 BORDER_PX, FINEST = 0.02, 2**DEEPEST  # vertices so close to a border are fitted on both sides of it
 
 
@@ -245,3 +247,29 @@ def sample_weights(stored: Floats, details: WeightDetails, uvs: Floats) -> Float
     leaves = dense_leaves(details, num_joints)
     sampled[fine] = np.einsum("nk,nkj->nj", _shares(fraction[fine]), leaves[node[fine]])
     return sampled
+
+
+def measure_jump(stored: Floats, details: WeightDetails, surface: TexturedSurface, seams: Seams) -> tuple[float, float]:
+    """Jump of weights across seams, details and all: rms over the seams' length of its norm, and the largest.
+
+    Sampled, since details end anywhere along an edge.
+
+    Parameters
+    ----------
+    stored : (H, W, J) float64
+        The map, from `unpack_weights`.
+    details : WeightDetails
+    surface : TexturedSurface
+    seams : Seams
+        Of the surface.
+    """
+    if not len(seams.uv_pairs):
+        return 0.0, 0.0
+    share = ((np.arange(JUMP_POINTS) + 0.5) / JUMP_POINTS)[:, None]
+    ends = surface.uvs[seams.uv_pairs]  # seam, side, end
+    places = ends[:, :, None, 0] * (1.0 - share) + ends[:, :, None, 1] * share
+    sampled = sample_weights(stored, details, places.reshape(-1, 2)).reshape(*places.shape[:3], -1)
+    apart = sampled[:, 0] - sampled[:, 1]
+    mean_sq = (apart**2).sum(axis=2).mean(axis=1)
+    rms = np.sqrt((mean_sq * seams.lengths_m).sum() / max(float(seams.lengths_m.sum()), 1e-30))
+    return float(rms), float(np.abs(apart).max())
