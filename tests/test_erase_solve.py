@@ -27,6 +27,7 @@ from preprocess.erase import eraser as eraser_module
 from preprocess.erase import plan as plan_module
 from preprocess.erase.matrix import GRADIENT_MASS
 from preprocess.erase.mips import mip_sizes, shrink
+from preprocess.erase.pair_moves import best_pair
 from preprocess.erase.quantise import PEAK, REACH, STAY, TOLERATED, _best_steps, _Search
 from preprocess.erase.solve import NotConvergedError, keep_by_contrast
 from preprocess.erase.terms import inward_normals, jump_rows, lerp_targets, sample_rows, slope_rows, value_rows
@@ -373,6 +374,40 @@ def test_gain_equals_the_objective():
             costs.append(objective(moved) - objective(stored))
         assert costs[int(step) + 2] == pytest.approx(min(costs), abs=1e-3)
         assert step == 0 or gain == pytest.approx(min(costs), rel=1e-3, abs=1e-3)
+
+
+def test_the_best_pair_is_that_of_all_pairs():
+    rng = np.random.default_rng(3)
+    shares = rng.uniform(-1, 1, (5, 12)).astype(np.float32)
+    weights, peaks = rng.uniform(0.5, 2, 12).astype(np.float32), rng.uniform(50, 400, 12).astype(np.float32)
+    off = rng.uniform(-0.5, 0.5, 5).astype(np.float32)
+    reach = np.full(5, 2.0, np.float32)
+
+    def cost(values, jump):
+        over = np.maximum(np.abs(jump) - TOLERATED, 0)
+        return weights @ jump**2 + peaks @ over**2 + STAY * np.sum(values**2)
+
+    num_found = 0
+    for _ in range(20):
+        jump = rng.uniform(-0.8, 0.8, 12).astype(np.float32)
+        found = best_pair(np.array([1, 3]), shares, jump, weights, peaks, off, -reach, reach, TOLERATED, STAY)
+        if found is None:
+            continue
+        num_found += 1
+        (a, b), steps = found
+        assert a in (1, 3) and a != b and np.abs(off[[a, b]] + steps).max() <= 2
+        moved = off.copy()
+        moved[[a, b]] += steps
+        gain = cost(moved, jump + np.array(steps) @ shares[[a, b]]) - cost(off, jump)
+        for other in range(5):  # one step of either length of each other texel, downhill from the first
+            for step in (-2, -1, 1, 2):
+                if other == a or abs(off[other] + step) > 2:
+                    continue
+                rival = off.copy()
+                rival[[a, other]] += [steps[0], step]
+                rival_jump = jump + np.array([steps[0], step]) @ shares[[a, other]]
+                assert gain <= cost(rival, rival_jump) - cost(off, jump) + 1e-2
+    assert num_found >= 5
 
 
 @pytest.mark.parametrize("levels", [255, 65535])

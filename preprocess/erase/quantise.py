@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from preprocess.erase.pair_moves import best_pair
 from preprocess.erase.strip import SeamStrip
 from preprocess.mesh import Floats
 
@@ -36,11 +37,21 @@ PEAK = 100.0
 STAY = 0.005
 REACH = 4.0
 
-# Peak weights grow by this factor a round, for at most so many rounds, or so many without a smaller peak.
+# Peak weights grow by this factor a round, for at most so many rounds, or so many without a smaller peak. After the
+# first, a peak of `ENOUGH` will do, pairs of texels move too, and now and then texels may go twice as far.
 GROWTH = 1.5
-MAX_ROUNDS = 24
-MAX_IDLE_ROUNDS = 8
+MAX_ROUNDS = 60
+MAX_IDLE_ROUNDS = 20
 MAX_SWEEPS = 24  # a round
+PATIENT_ROUNDS = 5
+ENOUGH = 0.48
+WIDER_ROUNDS = (9, 15)
+FEW_POINTS = 64
+PAIRS_A_ROUND = 24
+MAX_PAIRS = 300
+
+# Where the wanted values themselves jump by so many 16-bit steps (a finite seam weight), rounding adds nothing.
+MANY_STEPS = 8.0
 
 AT_A_TIME = 1536  # visits: their points fit the processor's cache
 SMALLEST_GAIN = 1e-5
@@ -121,8 +132,8 @@ class _Search:
         self.jump[:, :-1] = (strip.rows @ self.stored.T).T
         self.peaks = np.full_like(self.jump, PEAK)
         self.off = (self.stored - wanted).astype(np.float32)
-        self.low = np.maximum(-REACH, -wanted - 0.01).astype(np.float32)
-        self.high = np.minimum(REACH, levels - wanted + 0.01).astype(np.float32)
+        self.levels = levels
+        self._set_reach(REACH)
         self.waits = np.ones((self.num_channels, self.num_texels + 1), np.bool_)
         self.waits[:, -1] = False
         self.owner = np.zeros(self.jump.size, np.int32)
@@ -194,8 +205,8 @@ class _Search:
     def run(self) -> Floats:
         """Search until no point exceeds the limit or nothing helps; the integers with the smallest peak, (C, N)."""
         best, best_peak = self.stored.copy(), np.full(self.num_channels, np.inf)
-        idle, longest = 0, 1
-        for _ in range(MAX_ROUNDS):
+        idle, longest, pairs_left = 0, 1, MAX_PAIRS
+        for turn in range(MAX_ROUNDS):
             for _ in range(MAX_SWEEPS):
                 if not self.sweep(longest):
                     break
@@ -203,13 +214,56 @@ class _Search:
             lower = peak < best_peak
             best[lower], best_peak[lower] = self.stored[lower], peak[lower]
             idle = 0 if lower.any() else idle + 1
-            if (best_peak <= LIMIT).all() or idle == MAX_IDLE_ROUNDS:
+            limit = LIMIT if turn < PATIENT_ROUNDS else ENOUGH
+            is_open = best_peak > limit
+            jump = np.abs(self.jump[:, :-1]) * is_open[:, None]
+            num_open = np.count_nonzero(jump > ENOUGH)
+            if not is_open.any() or idle >= (MAX_IDLE_ROUNDS if num_open <= FEW_POINTS else PATIENT_ROUNDS):
                 break
-            channel, point = np.nonzero((np.abs(self.jump[:, :-1]) > LIMIT) & (best_peak > LIMIT)[:, None])
+            if turn >= PATIENT_ROUNDS and num_open <= FEW_POINTS:
+                pairs_left -= self._move_pairs(jump > ENOUGH, pairs_left)
+            channel, point = np.nonzero(jump > LIMIT)
             self.peaks[channel, point] *= GROWTH
             self._wait_near(channel, point)
             longest = 2
+            if turn in WIDER_ROUNDS:
+                self._set_reach(2.0 * self.reach)
         return best
+
+    def _set_reach(self, reach: float) -> None:
+        """How far texels may go from what is wanted."""
+        self.reach = reach
+        self.low = np.maximum(-reach, -self.wanted - 0.01).astype(np.float32)
+        self.high = np.minimum(reach, self.levels - self.wanted + 0.01).astype(np.float32)
+
+    def _move_pairs(self, chosen: NDArray[np.bool_], at_most: int) -> int:
+        """Move pairs of texels for those of the chosen points (C, P) that jump most; return for how many."""
+        channel, point = np.nonzero(chosen)
+        order = np.argsort(-np.abs(self.jump[channel, point]), kind="stable")[: min(at_most, PAIRS_A_ROUND)]
+        for c, p in zip(channel[order], point[order], strict=True):
+            if abs(self.jump[c, p]) <= ENOUGH:
+                continue
+            texels = self.strip.texels_of_point[p]
+            first = np.unique(texels[texels < self.num_texels])
+            points = np.unique(self.columns[first].indices)
+            near = np.unique(self.strip.texels_of_point[points])
+            near = near[near < self.num_texels]
+            block = self.columns[near]
+            points = np.unique(block.indices)
+            shares = block[:, points].toarray()
+            found = best_pair(
+                np.searchsorted(near, first), shares, self.jump[c, points], self.weights[points], self.peaks[c, points],
+                self.off[c, near], self.low[c, near], self.high[c, near], TOLERATED, STAY,
+            )  # fmt: skip
+            if found is None:
+                continue
+            for texel, step in zip(*found, strict=True):
+                self.stored[c, near[texel]] += step
+                self.off[c, near[texel]] += step
+                self.jump[c, points] += np.float32(step) * shares[texel]
+                touched = points[shares[texel] != 0]
+                self._wait_near(np.full(len(touched), c), touched)
+        return len(order)
 
 
 def round_strip(values: Floats, strip: SeamStrip, levels: int) -> Floats:
@@ -228,7 +282,13 @@ def round_strip(values: Floats, strip: SeamStrip, levels: int) -> Floats:
     (N, C) float64
         Whole numbers from 0 to levels.
     """
-    return _Search(np.ascontiguousarray(np.clip(values, 0, 1).T) * levels, strip, levels).run().T
+    wanted = np.ascontiguousarray(np.clip(values, 0, 1).T) * levels
+    result = np.rint(wanted)
+    jumps = np.abs(strip.rows @ wanted.T).max(axis=0, initial=0.0)
+    sought = (jumps <= MANY_STEPS) | (levels <= 255)
+    if len(strip.weights) and sought.any():
+        result[sought] = _Search(wanted[sought], strip, levels).run()
+    return result.T
 
 
 def quantise(texels: Floats, strip: SeamStrip, levels: int) -> NDArray[Any]:
