@@ -389,7 +389,7 @@ def test_the_best_pair_is_that_of_all_pairs():
 
     num_found = 0
     for _ in range(20):
-        jump = rng.uniform(-0.8, 0.8, 12).astype(np.float32)
+        jump = rng.uniform(-1.5, 1.5, 12).astype(np.float32)
         found = best_pair(np.array([1, 3]), shares, jump, weights, peaks, off, -reach, reach, TOLERATED, STAY)
         if found is None:
             continue
