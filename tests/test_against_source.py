@@ -27,7 +27,7 @@ MOMENTS: dict[str, tuple[int, float]] = {
 }
 # What the looks of each may cost: silhouettes (share of the character's pixels) and mean FLIP of unlit base colour.
 MAX_SILHOUETTE = {"human.glb": 0.002, "Fox.glb": 0.002}
-MAX_FLIP = {"human.glb": 0.03, "Fox.glb": 0.03}
+MAX_FLIP = {"human.glb": 0.03, "Fox.glb": 0.03, "Knight.glb": 0.006, "robot.glb": 0.004, "mannequiny.glb": 0.002}
 
 
 def camera_for(path: Path, clip: int | None, time: float) -> tuple[np.ndarray, np.ndarray]:

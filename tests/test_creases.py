@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 
 import moderngl
@@ -12,6 +13,7 @@ from builders_creases import NET, PALETTE, cube_net, load_cube, painted_cube, si
 from builders_scene import Scene
 
 import runtime
+from benchmarks.normals import measure
 from preprocess.bake import cover_atlas
 from preprocess.borders import BORDER, find_color_borders
 from preprocess.crease_levels import find_hard_edges, find_level_normal_uvs
@@ -298,6 +300,13 @@ def test_level_edges_are_hard_only_from_end_to_end() -> None:
     assert not find_hard_edges(surface, twins, half, (64, 64)).any()
     beside = lines + np.array([0.6, 0.0])
     assert not find_hard_edges(surface, twins, beside, (64, 64)).any()
+
+
+@pytest.mark.parametrize("name", ["Fox.glb", "robot.glb"])
+def test_normals_of_real_characters_are_within_a_degree(name: str, asset_path: Callable[[str], Path]) -> None:
+    measured = measure(asset_path(name), 20_000)
+    assert measured is not None
+    assert measured["rms deg"] < 1.0 and measured["rms deg inside"] < 0.1
 
 
 # Colours
