@@ -8,7 +8,7 @@ from enum import Enum
 from preprocess.mesh import Floats, Ints, TexturedSurface
 
 # Of a chain, whose levels are chosen by their largest error.
-PEAK_WEIGHT = 0.7
+PEAK_WEIGHT = 0.4
 
 
 class Strictness(Enum):
