@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import logging
 import os
 import shutil
@@ -32,9 +33,10 @@ IMAGE_SUFFIXES = {".png", ".tif", ".tiff", ".exr", ".jpg", ".jpeg", ".tga", ".bm
 LOSSY_SUFFIXES = {".jpg", ".jpeg", ".webp"}
 
 # Memory that a build takes beside the image: the programs' libraries, and what each texel of seam length costs in
-# unknowns, matrix and factor (measured: 10 to 13 unknowns of 1.2 kB).
-BASE_BYTES = 200 << 20
-BYTES_PER_SEAM_PX = 16_000
+# unknowns, matrix and factor (measured: 7 kB on Fox and blub).
+BASE_BYTES = 110 << 20
+BYTES_PER_SEAM_PX = 8_000
+MIP_BYTES_PER_VALUE = 24
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,11 +71,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _available_bytes() -> int | None:
     """Memory that this process may still take, or None where the system does not tell."""
-    try:
+    limits = []
+    with contextlib.suppress(OSError, StopIteration):
         lines = Path("/proc/meminfo").read_text().splitlines()
-        return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:"))
-    except (OSError, StopIteration):
-        return None
+        limits.append(next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:")))
+    with contextlib.suppress(OSError, ValueError):  # a container's own limit; "max" where there is none
+        group = Path("/sys/fs/cgroup")
+        limits.append(int((group / "memory.max").read_text()) - int((group / "memory.current").read_text()))
+    with contextlib.suppress(ImportError, OSError, ValueError, IndexError):
+        import resource
+
+        most = resource.getrlimit(resource.RLIMIT_AS)[0]
+        if most != resource.RLIM_INFINITY:
+            limits.append(most - int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize())
+    return max(min(limits), 0) if limits else None
 
 
 def _read_size(path: Path) -> tuple[int, int, int, str]:
@@ -91,10 +102,12 @@ def _read_size(path: Path) -> tuple[int, int, int, str]:
     return spec.width, spec.height, spec.nchannels, str(spec.format)
 
 
-def _check_memory(path: Path, surface: TexturedSurface, seams: Seams) -> None:
+def _check_memory(path: Path, surface: TexturedSurface, seams: Seams, mips: bool) -> None:
     """Refuse an image that this machine's memory cannot hold while it is erased."""
     width, height, channels, stored = _read_size(path)
     per_texel = {"uint8": 3 * channels, "uint16": 6 * channels}.get(stored, 20 * channels) + 2
+    if mips:
+        per_texel += MIP_BYTES_PER_VALUE * channels
     lines = surface.uvs[seams.uv_pairs] * (width, height)
     seam_px = float(np.linalg.norm(lines[:, :, 1] - lines[:, :, 0], axis=2).sum())
     needed = BASE_BYTES + width * height * per_texel + int(BYTES_PER_SEAM_PX * seam_px)
@@ -191,8 +204,9 @@ class _Job:
         plan = plans[width, height]
         stays = plan.factor is None
         if self.mips:
+            values = texels / np.float32(unit) if unit > 1 else texels
             chain = erase_mips(
-                texels / unit if unit > 1 else texels, self.surface, self.seams, options, levels=image.levels,
+                values, self.surface, self.seams, options, levels=image.levels,
                 srgb_channels=_num_srgb_channels(image), plans=plans,
             )  # fmt: skip
             levels = [level.texels for level in chain]
@@ -202,14 +216,15 @@ class _Job:
             levels = [plan.erase_stored(texels).texels if unit > 1 else plan.erase(texels).texels]
         if unit == 1.0:
             levels = [level.astype(np.float32) for level in levels]
-        before, stored = plan.measure(texels), plan.measure(levels[0])
-        scaled = replace(before, rms=before.rms / unit, max=before.max / unit)
-        print(_describe(scaled, replace(stored, rms=stored.rms / unit, max=stored.max / unit), unit, name, stays))
+        written = levels[0].astype(np.float16) if image.format == "half" else levels[0]
+        print(_describe(plan.measure(texels, unit), plan.measure(written, unit), unit, name, stays))
         if decision.num_left:
             print(f"{name}: {decision.num_left} of {len(decision.joined)} seams left: they differ by more than "
                   f"{decision.threshold:g}")  # fmt: skip
         if self.report is not None:
-            self._picture(texels / unit, decision)
+            print(f"{self.report}: the {len(decision.joined) - decision.num_left} joined seams in green, "
+                  f"{decision.num_left} left in red (--keep-borders {decision.threshold:g})")  # fmt: skip
+            self._picture(texels / np.float32(unit), decision)
         return [replace(image, texels=level) for level in levels]
 
     def _decide(self, texels: NDArray[Any], unit: float) -> Decision:
@@ -256,12 +271,15 @@ def run(arguments: argparse.Namespace) -> None:
     paths = _output_paths(arguments.images, arguments.output, arguments.mips)
     job = _Job(arguments)
     for source in arguments.images:
-        _check_memory(source, job.surface, job.seams)
+        _check_memory(source, job.surface, job.seams, arguments.mips)
     if not len(job.seams.vertices):
         print(f"note: {arguments.mesh.name} has no seams: images are copied as they are")
     folder = paths[0].absolute().parent
     with whole_parents(folder):
-        partial = Path(tempfile.mkdtemp(prefix=".erase.partial-", dir=folder))
+        try:
+            partial = Path(tempfile.mkdtemp(prefix=".erase.partial-", dir=folder))
+        except OSError as error:
+            raise InputError(f"{folder} cannot be written to ({error.strerror}): name another place with -o") from error
         try:
             made: list[Path] = []
             for source, path in zip(arguments.images, paths, strict=True):

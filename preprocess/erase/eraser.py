@@ -59,7 +59,7 @@ class Erased:
     Attributes
     ----------
     texels : (H, W, C)
-        float64 from `Eraser.erase`, the given integer type from `Eraser.erase_stored`.
+        float64 from `Eraser.erase` (float32 where that was given), the given integer type from `Eraser.erase_stored`.
     before, after : (C,) float64
         D_total, the mean squared jump across the joined seams, of the texels given and of the solution.
     repeats : int
@@ -146,7 +146,7 @@ class Eraser:
         """
         limit = self.options.jump_limit if jump_limit is None else jump_limit
         solution = self._solve(texels, 1.0, sample_values, end_values, bounds, limit)
-        result = np.array(texels, np.float64, order="C", copy=True)
+        result = np.array(texels, np.float32 if texels.dtype == np.float32 else np.float64, order="C", copy=True)
         flat = result.reshape(-1, result.shape[2])
         source = texels.reshape(flat.shape)
         for where, change in self._spread(solution, solution.negligible):
@@ -214,9 +214,10 @@ class Eraser:
         """Samples along the joined seams, for rounding."""
         return build_strip(self.intervals, self.lengths_m)
 
-    def measure(self, texels: NDArray[Any]) -> SeamMeasure:
-        """Jump of a texture of the planned size across the joined seams, in the texture's unit."""
-        return measure_intervals(texels, self.intervals, self.lengths_m)
+    def measure(self, texels: NDArray[Any], unit: float = 1.0) -> SeamMeasure:
+        """Jump of a texture of the planned size across the joined seams, in a unit of the texture."""
+        found = measure_intervals(texels, self.intervals, self.lengths_m)
+        return SeamMeasure(found.rms / unit, found.max / unit, found.total / unit**2, found.seam_rms / unit)
 
     def _solve(
         self,

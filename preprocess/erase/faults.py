@@ -25,6 +25,7 @@ from preprocess.texels import uv_to_px
 JOINED_COLOR = (0.1, 0.8, 0.2)
 LEFT_COLOR = (0.95, 0.15, 0.1)
 LINE_STEP_PX = 0.5
+LINE_WIDTH_REL = 1 / 400  # of the picture's longer side
 
 
 @dataclass(frozen=True)
@@ -130,6 +131,7 @@ def draw_decision(texels: Floats, surface: TexturedSurface, seams: Seams, decisi
     height, width = texels.shape[:2]
     grey = 0.75 + 0.25 * np.clip(texels[:, :, : min(texels.shape[2], 3)].mean(axis=2), 0, 1)
     picture = np.repeat(grey[:, :, None], 3, axis=2)
+    thick = max(1, round(LINE_WIDTH_REL * max(width, height)))
     for chosen, color in ((decision.joined, JOINED_COLOR), (~decision.joined, LEFT_COLOR)):
         lines = uv_to_px(surface.uvs[seams.uv_pairs[chosen]], width, height).reshape(-1, 2, 2)
         length = np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1)
@@ -138,5 +140,8 @@ def draw_decision(texels: Floats, surface: TexturedSurface, seams: Seams, decisi
         step = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
         along = (step / np.maximum(count[line] - 1, 1))[:, None]
         points = np.rint((1 - along) * lines[line, 0] + along * lines[line, 1]).astype(np.int64)
-        picture[points[:, 1] % height, points[:, 0] % width] = color
+        brush = range(-(thick // 2), thick - thick // 2)
+        for dy in brush:
+            for dx in brush:
+                picture[(points[:, 1] + dy) % height, (points[:, 0] + dx) % width] = color
     return picture

@@ -75,7 +75,7 @@ def shrink(texels: Floats, used: NDArray[np.bool_], width: int, height: int) -> 
 
     Parameters
     ----------
-    texels : (H, W, C) float64
+    texels : (H, W, C) float32 or float64
     used : (H, W) bool
         Texels that count. Where a new texel covers none, all that it covers count.
     width, height : int
@@ -83,17 +83,17 @@ def shrink(texels: Floats, used: NDArray[np.bool_], width: int, height: int) -> 
 
     Returns
     -------
-    (height, width, C) float64
+    (height, width, C), of the type given
     """
     old_height, old_width, channels = texels.shape
-    down, across = _box_weights(old_height, height), _box_weights(old_width, width)
+    down, across = (_box_weights(*sizes).astype(texels.dtype) for sizes in ((old_height, height), (old_width, width)))
 
     def average(image: Floats) -> Floats:
         rows = (down @ image.reshape(old_height, -1)).reshape(height, old_width, -1)
         turned = np.ascontiguousarray(rows.transpose(1, 0, 2)).reshape(old_width, -1)
         return (across @ turned).reshape(width, height, -1).transpose(1, 0, 2)
 
-    share = average(used[:, :, None].astype(np.float64))
+    share = average(used[:, :, None].astype(texels.dtype))
     masked = average(texels * used[:, :, None])
     plain = average(texels) if (share <= 0).any() else masked
     assert channels == texels.shape[2]
@@ -110,7 +110,7 @@ def _stored(texels: Floats, plan: Eraser, levels: int) -> tuple[NDArray[Any], Se
     if not levels:
         return texels, plan.measure(texels)
     rounded = quantise(texels, plan.strip, levels)
-    return rounded, plan.measure(rounded / float(levels))
+    return rounded, plan.measure(rounded, float(levels))
 
 
 def erase_mips(
@@ -154,12 +154,13 @@ def erase_mips(
     plans = {} if plans is None else plans
     height, width, _ = texels.shape
     chain: list[Level] = []
-    current = np.asarray(texels, np.float64)
+    current: NDArray[Any] = np.asarray(texels, np.float32) if levels else np.asarray(texels, np.float64)
     used: NDArray[np.bool_] | None = None
     for w, h in mip_sizes(width, height, smallest):
         if used is not None:
             light = current.copy()
-            light[:, :, :srgb_channels] = srgb_to_linear(light[:, :, :srgb_channels])
+            for row in light:
+                row[:, :srgb_channels] = srgb_to_linear(row[:, :srgb_channels])
             current = shrink(light, used, w, h)
             current[:, :, :srgb_channels] = linear_to_srgb(current[:, :, :srgb_channels])
         if (w, h) not in plans:
