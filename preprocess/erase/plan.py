@@ -106,10 +106,16 @@ def plan_erasure(
         penalty = PENALTY if options.seam_weight is None else options.seam_weight
 
         def assemble() -> sparse.csr_array:
-            jump, slope = jump_elements(intervals, lengths), slope_elements(intervals, lengths, normals)
-            elements = np.concatenate([np.sqrt(penalty) * jump, np.sqrt(options.weights.slope) * slope], axis=1)
-            matrix = _assemble_grid(grid, options.weights, region.num_inside)
-            matrix = matrix + rows_matrix(unknowns, elements, len(grid.free))
+            elements = np.concatenate(
+                [
+                    np.sqrt(penalty) * jump_elements(intervals, lengths),
+                    np.sqrt(options.weights.slope) * slope_elements(intervals, lengths, normals),
+                ],
+                axis=1,
+            )
+            matrix = rows_matrix(unknowns, elements, len(grid.free))
+            del elements
+            matrix = matrix + _assemble_grid(grid, options.weights, region.num_inside)
             for name, weight in (("value", options.weights.value), ("samples", options.weights.samples)):
                 if name in rows:
                     matrix = matrix + weight * (rows[name].T @ rows[name])
@@ -117,7 +123,9 @@ def plan_erasure(
 
         jump = jump_elements(intervals, lengths)
         row_scales = jump[:, :, :4].sum(axis=2).reshape(-1)  # one side's weights sum to one before they are scaled
-        factor = factorise(assemble, to_rows(unknowns, jump, len(grid.free)), row_scales, penalty)
+        seam_rows = to_rows(unknowns, jump, len(grid.free))
+        del jump
+        factor = factorise(assemble, seam_rows, row_scales, penalty)
         logger.debug("erase: %d unknowns at %d x %d", len(grid.free), width, height)
     return Eraser(surface, seams, options, region, grid, intervals, lengths, silhouette, factor, rows, scale)
 
