@@ -161,9 +161,7 @@ class Document:
         """
         missing = sorted(set(map(str, self.json.get("extensionsRequired", []))) - set(supported))
         if missing:
-            raise AssetError(
-                f"{self.path.name} requires {', '.join(missing)}: export it again without ({_advice(missing)})"
-            )
+            raise AssetError(f"{self.path.name} requires {', '.join(missing)}, which is not read: {_advice(missing)}")
 
     def _apply_sparse(
         self, values: NDArray[Any], sparse: dict[str, Any], dtype: np.dtype[Any], shape: tuple[int, ...], where: str
