@@ -7,7 +7,6 @@ needs OpenGL 4.3. The shaders are those of the runtime with a few lines more. Us
 from __future__ import annotations
 
 from collections.abc import Mapping
-
 from typing import Any
 
 import moderngl
