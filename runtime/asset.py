@@ -379,7 +379,7 @@ def _read_vertices(document: Document, accessors: tuple[int | None, ...], where:
     uvs, owners = (document.accessor(index) for index in accessors[:2] if index is not None)
     normals = uvs if accessors[2] is None else document.accessor(accessors[2])
     if uvs.ndim != 2 or uvs.shape[1] != 2 or not uvs.shape == owners.shape == normals.shape:
-        raise AssetError(f"{where}: TEXCOORD_0, _OWNER_UV and _NORMAL_UV do not fit each other: {REBUILD}")
+        raise AssetError(f"{where}: TEXCOORD_0, _OWNER_UV and TEXCOORD_1 do not fit each other: {REBUILD}")
     vertices = np.concatenate([uvs, owners, normals], axis=1).astype(np.float32)
     if not np.isfinite(vertices).all():
         raise AssetError(f"{where} has uvs that are not finite: {REBUILD}")
@@ -397,7 +397,8 @@ def _read_lod(document: Document, mesh_index: Any, where: str, error_m: float) -
         attributes = primitive.get("attributes", {})
         if "TEXCOORD_0" not in attributes or "_OWNER_UV" not in attributes or "indices" not in primitive:
             raise AssetError(f"{where} has no TEXCOORD_0, _OWNER_UV or indices: {REBUILD}")
-        key = (attributes["TEXCOORD_0"], attributes["_OWNER_UV"], attributes.get("_NORMAL_UV"))
+        own, second = attributes["TEXCOORD_0"], attributes.get("TEXCOORD_1")
+        key = (own, attributes["_OWNER_UV"], None if second == own else second)
         if key not in places:
             places[key] = len(arrays), num_vertices
             arrays.append(_read_vertices(document, key, where))

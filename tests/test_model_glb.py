@@ -260,6 +260,31 @@ def test_owner_uvs_tell_the_topology(tmp_path: Path) -> None:
     assert len(both) == len(np.unique(owners, axis=0)) == character.mesh.num_vertices
 
 
+def test_colors_painted_at_the_places_of_normals_are_read_there(tmp_path: Path) -> None:
+    shape = cube()
+    builder = GltfBuilder()
+    block = builder.primitive(shape["positions"], shape["faces"], NORMAL=shape["normals"], TEXCOORD_0=shape["uvs"])
+    builder.node(name="block", mesh=builder.mesh(block))
+    character = load_character(builder.write(tmp_path / "cube.glb"))
+    surface, lod = character.mesh.surface, full_lod(character)
+    entries = {**TEXTURES, "base_color": {**TEXTURES["base_color"], "uvs": "normal"}}
+    for texture in entries.values():
+        write_image(tmp_path / texture["file"], Image(np.full((4, 4, 3), 0.5, np.float32)))
+    moved = 0.5 + 0.9 * (surface.uvs[surface.face_uvs] - 0.5)
+    path, lods = tmp_path / "model.glb", [lod, half_lod(lod)]
+    write_model_glb(path, character, character.mesh, lods, entries, normal_uvs=[moved, None])
+    document = read_document(path)
+    assert_valid(document)
+    (material,) = document.json["materials"]
+    assert material["pbrMetallicRoughness"]["baseColorTexture"]["texCoord"] == 1
+    assert "texCoord" not in material["occlusionTexture"]
+    fine, coarse = (mesh["primitives"][0]["attributes"] for mesh in document.json["meshes"])
+    own, second = (document.accessor(fine[f"TEXCOORD_{which}"]) for which in (0, 1))
+    np.testing.assert_allclose(second, 0.5 + 0.9 * (own - 0.5), atol=1e-5)
+    assert coarse["TEXCOORD_1"] == coarse["TEXCOORD_0"]  # without places of its own: the same accessor
+    assert not [issue for issue in issues(path)["messages"] if issue["severity"] < 2]
+
+
 def test_one_level_a_file(tmp_path: Path) -> None:
     character = load_character(bent_bar(tmp_path / "bar.glb"))
     half = half_lod(full_lod(character))

@@ -1,8 +1,8 @@
 """model.glb: skeleton, clips and one skinned mesh a level of detail, as glTF that any viewer opens.
 
 The scene shows the finest level; the others hang on it by MSFT_lod. Materials name the folder's textures by relative
-uri. For the runtime every vertex also has `_OWNER_UV`, where its geometry is fetched, and, where that is elsewhere than
-its material, `_NORMAL_UV`, where its normal is (docs/format.md).
+uri. For the runtime every vertex also has `_OWNER_UV`, where its geometry is fetched. `TEXCOORD_1`, where there is one,
+is the place of its normal, and of colours that were painted there (docs/format.md).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from preprocess.decimate.lod import Lod
 from preprocess.gltf.character import Character
 from preprocess.gltf.lod_mesh import LodMesh, build_lod_mesh
-from preprocess.gltf.model_materials import describe_textures, plan_draws
+from preprocess.gltf.model_materials import describe_textures, plan_draws, uv_set
 from preprocess.mesh import Floats, SkinnedMesh
 from preprocess.texels import OWNER_STEPS
 from runtime.clip import Clip
@@ -181,8 +181,10 @@ def _owner_accessor(owner_uvs: NDArray[np.float32], buffer: _Buffer) -> int:
     return buffer.accessor(owner_uvs, ARRAY_BUFFER)
 
 
-def _describe_mesh(name: str, level: LodMesh, face_draws: NDArray[np.int64], buffer: _Buffer) -> dict[str, Any]:
-    """A mesh of one primitive a draw range; they share the vertices."""
+def _describe_mesh(
+    name: str, level: LodMesh, face_draws: NDArray[np.int64], buffer: _Buffer, second_uvs: bool
+) -> dict[str, Any]:
+    """A mesh of one primitive a draw range; they share the vertices. Materials may ask all levels for second uvs."""
     attributes = {
         "POSITION": buffer.accessor(level.positions, ARRAY_BUFFER, bounds=True),
         "NORMAL": buffer.accessor(level.normals, ARRAY_BUFFER),
@@ -190,7 +192,9 @@ def _describe_mesh(name: str, level: LodMesh, face_draws: NDArray[np.int64], buf
         "_OWNER_UV": _owner_accessor(level.owner_uvs, buffer),
     }
     if level.normal_uvs is not None:
-        attributes["_NORMAL_UV"] = buffer.accessor(level.normal_uvs, ARRAY_BUFFER, normalized=True)
+        attributes["TEXCOORD_1"] = buffer.accessor(level.normal_uvs, ARRAY_BUFFER, normalized=True)
+    elif second_uvs:
+        attributes["TEXCOORD_1"] = attributes["TEXCOORD_0"]
     for number in range(level.joints.shape[1] // 4):
         columns = slice(4 * number, 4 * number + 4)
         joints = np.ascontiguousarray(level.joints[:, columns])
@@ -244,13 +248,14 @@ def describe_model(
     materials, draw_of_material = plan_draws(character.materials, np.unique(mesh.face_materials), textures)
     meshes: list[dict[str, Any]] = []
     first = len(nodes)
+    second_uvs = any(uv_set(entry) for entry in textures.values())
     for name, lod, own_uvs in zip(names, lods, normal_uvs or [None] * len(lods)):
         level = build_lod_mesh(
             mesh, skeleton.num_joints, lod.surface, lod.owner_uvs, lod.face_source, influences, own_uvs, lod.fetch_uvs
         )
         face_draws = draw_of_material[mesh.face_materials[lod.face_source]]
         nodes.append({"name": name, "mesh": len(meshes), "skin": 0})
-        meshes.append(_describe_mesh(name, level, face_draws, buffer))
+        meshes.append(_describe_mesh(name, level, face_draws, buffer, second_uvs))
     extensions = {key for material in materials for key in material.get("extensions", {})}
     if len(lods) > 1:
         nodes[first]["extensions"] = {"MSFT_lod": {"ids": list(range(first + 1, len(nodes)))}}

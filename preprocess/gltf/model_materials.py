@@ -22,6 +22,11 @@ def _is_baked(textures: Mapping[str, Mapping[str, Any]], name: str) -> bool:
     return name in textures and not textures[name].get("copied", False)
 
 
+def uv_set(entry: Mapping[str, Any]) -> int:
+    """Which TEXCOORD samples a texture: 1 if it was made for the places of the normals, else 0."""
+    return int(entry.get("uvs") == "normal")
+
+
 def describe_material(material: Material, textures: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """The glTF description of a material over the folder's textures, without its name.
 
@@ -45,14 +50,19 @@ def describe_material(material: Material, textures: Mapping[str, Mapping[str, An
     if _is_baked(textures, "emissive"):
         emissive = np.ones(3)
     index = texture_indices(textures)
+
+    def texture(name: str) -> dict[str, int]:
+        which = uv_set(textures[name])
+        return {"index": index[name], "texCoord": which} if which else {"index": index[name]}
+
     spec: dict[str, Any] = {"pbrMetallicRoughness": pbr}
     if "base_color" in index:
-        pbr["baseColorTexture"] = {"index": index["base_color"]}
+        pbr["baseColorTexture"] = texture("base_color")
     if "orm" in index:
-        pbr["metallicRoughnessTexture"] = {"index": index["orm"]}
-        spec["occlusionTexture"] = {"index": index["orm"], "strength": occlusion_strength}
+        pbr["metallicRoughnessTexture"] = texture("orm")
+        spec["occlusionTexture"] = {**texture("orm"), "strength": occlusion_strength}
     if "emissive" in index:
-        spec["emissiveTexture"] = {"index": index["emissive"]}
+        spec["emissiveTexture"] = texture("emissive")
     strength = max(1.0, float(emissive.max()))
     spec["emissiveFactor"] = (emissive / strength).tolist()
     extensions: dict[str, Any] = {}
