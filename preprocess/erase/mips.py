@@ -27,8 +27,11 @@ from preprocess.erase.strip import SeamMeasure
 from preprocess.mesh import Floats, TexturedSurface
 from preprocess.seams import Seams
 
-# Limit of the jump, as a share of the one asked for, where 8-bit rounding would leave more than half a step.
-TIGHTER = 0.2
+# The jump that a stored level may have at most; and shares of the limit asked for (or of one that leaves rounding some
+# room) that are tried where a level exceeds it.
+VISIBLE = 0.5 / 255
+JUMP_LIMIT = 0.2 / 255
+TIGHTER = (1.0, 0.3, 0.1)
 
 
 @dataclass(frozen=True)
@@ -166,14 +169,23 @@ def erase_mips(
         if (w, h) not in plans:
             plans[w, h] = plan_erasure(surface, seams, w, h, options)
         plan = plans[w, h]
-        erased = plan.erase(current, bounds=(0.0, 1.0) if levels else None, jump_limit=options.jump_limit)
+        limit = options.jump_limit
+        bounds = (0.0, 1.0) if levels else None
+        erased = plan.erase(current, bounds=bounds, jump_limit=limit)
         if chain and most_change is not None and _change(erased.texels, current, plan.region.inside) > most_change:
             break
         result, stored = _stored(erased.texels, plan, levels)
-        if levels == 255 and options.jump_limit is not None and stored.max.max(initial=0.0) > 0.5 / levels:
-            # Rounding found no room beside the jumps of this level: smaller ones leave some.
-            erased = plan.erase(current, bounds=(0.0, 1.0), jump_limit=options.jump_limit * TIGHTER)
-            result, stored = _stored(erased.texels, plan, levels)
+        # A finite seam weight says nothing of single points, and rounding may find no room beside the jumps that are
+        # allowed: smaller limits then, until what is stored stays within half an 8-bit step.
+        for tighter in TIGHTER if levels and options.seam_weight is not None else ():
+            if stored.max.max(initial=0.0) <= VISIBLE:
+                break
+            if limit is not None and tighter == 1.0:
+                continue
+            again = plan.erase(current, bounds=bounds, jump_limit=tighter * (limit or JUMP_LIMIT))
+            rounded, measured = _stored(again.texels, plan, levels)
+            if measured.max.max() < stored.max.max():
+                erased, result, stored = again, rounded, measured
         chain.append(Level(result, plan.measure(current), plan.measure(erased.texels), stored))
         current = erased.texels
         used = plan.region.used
