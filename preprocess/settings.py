@@ -61,7 +61,6 @@ class Settings:
 
 # Accuracy that automatic sizes must reach at the vertices of the full mesh, as fractions of the bounding diagonal.
 GEOMETRY_RMS_REL = 2e-4
-GEOMETRY_MAX_REL = 2e-3
 PARK_REL = 5e-4  # vertices that the position texture misses by more fetch elsewhere (parking.py)
 MIN_FLOOR_FACES = 200
 
