@@ -48,7 +48,7 @@ def _reaches(weights: Weights, num_inside: int) -> tuple[int, int]:
 
     The further it reaches, the more the squares far from the seams count; where it is short, the texels near them are
     relaxed in the end (see `spread`). Measured on Fox, whose texels change by up to 0.7, from 256² to 1024²: no texel
-    inside differs from the full grid's by more than 0.4/255, local or global.
+    inside differs from the full grid's by more than 0.5/255, local or global.
     """
     fading_px = np.sqrt(weights.inside_gradient * GRADIENT_MASS * max(num_inside, 1) / max(weights.change, 1e-12))
     return 2, 2 + int(fading_px >= 6) + int(fading_px >= 12) + int(fading_px >= 20)
