@@ -8,17 +8,16 @@ import numpy as np
 
 from preprocess.bake import bake_positions, bake_weights, settle_weights, vertex_values
 from preprocess.erase import LOCAL, EraseOptions, plan_erasure
-from preprocess.mesh import Floats, SkinnedMesh
+from preprocess.mesh import SkinnedMesh
 from preprocess.seams import Seams
-from preprocess.sizes import smallest_positions, weight_side
+from preprocess.sizes import Positions, smallest_positions, weight_side
 from preprocess.stored_texture import StoredTexture, seam_report
 from preprocess.texels import snap_owner_uvs
 from preprocess.weights import pack_weights, unpack_weights
 
-# Positions at the full mesh's vertices weigh most; then seams and the surface between vertices alike. Shared points are
-# owned and cannot crack, so a small jump beside a seam is no worse than a small bump, and closing it all costs a bump
-# six times as large.
-GEOMETRY_OPTIONS = EraseOptions(weights=dataclasses.replace(LOCAL, samples=1e8, change=1e7), seam_weight=1e7)
+# The surface between vertices must stay (a change of 1e4 lets it stray two to six times as far); seams are closed as
+# far as that leaves them: at the automatic size to less than a hundredth of a per cent of the diagonal, rms.
+GEOMETRY_OPTIONS = EraseOptions(weights=dataclasses.replace(LOCAL, samples=1e8, change=1e7), seam_weight=1e9)
 # Joint weights run from 0 to 1 and are stored in 255 steps: held tighter, maps of few texels swing far out of that
 # range and lose more where they are cut off than they gain.
 WEIGHT_OPTIONS = EraseOptions(weights=dataclasses.replace(LOCAL, samples=1e6), seam_weight=1e6)
@@ -40,12 +39,14 @@ def store_positions(mesh: SkinnedMesh, seams: Seams, side: int | None) -> Stored
     expected = vertex_values(mesh, surface.positions)
     owner_uvs = snap_owner_uvs(surface.uvs)
 
-    def bake(side: int) -> tuple[Floats, Floats]:
+    def bake(side: int) -> Positions:
         baked = bake_positions(mesh, (side, side))
         eraser = plan_erasure(surface, seams, side, side, GEOMETRY_OPTIONS, sample_uvs=owner_uvs)
-        return baked, eraser.erase(baked, sample_values=expected).texels
+        erased = eraser.erase(baked, sample_values=expected).texels
+        return Positions(baked, erased, float(np.linalg.norm(eraser.measure(erased).rms)))
 
-    baked, erased = bake(side) if side else smallest_positions(surface, expected, bake)
+    positions = bake(side) if side else smallest_positions(surface, expected, bake)
+    baked, erased = positions.baked, positions.erased
     stored = erased.astype(np.float32)
     size = (baked.shape[1], baked.shape[0])
     return StoredTexture("position", (stored,), "float", size, seam_report(surface, seams, baked, erased, stored))

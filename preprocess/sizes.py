@@ -1,15 +1,16 @@
 """Automatic texture sizes of geometry and weights.
 
-Positions are judged as they will be stored, after the erasure that also fits the vertices. A few vertices may miss,
-where more of them meet in a cell than it has texels: those are parked elsewhere (parking.py). Weights have quadtrees
-where their map is too coarse (weight_details.py), so any size is right; the one that takes the least memory has about
-a texel for every two vertices.
+Positions are judged as they will be stored, after the erasure that also fits the vertices: there, between them and
+along the seams. A few vertices may miss, where more of them meet in a cell than it has texels: those are parked
+elsewhere (parking.py). Weights have quadtrees where their map is too coarse (weight_details.py), so any size is right;
+the one that takes the least memory has about a texel for every two vertices.
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,14 +24,30 @@ GEOMETRY_SIZES_PX = (48, 56, 64, 80, 96, 128, 160, 192, 224, 256, 320, 384, 512,
 TEXELS_A_VERTEX = 1.5  # fewer cannot hold a value of its own for every vertex
 RMS_SHARE = 0.8  # of the accuracy goal at the vertices that stay: weights and rounding add their own part
 PARKED_SHARE = 0.1  # of the vertices at most
-STRAY_RMS_REL = 3e-3  # of the surface between vertices, of the diagonal: what divided triangles show
+STRAY_RMS_REL = 1.5e-3  # of the surface between vertices, of the diagonal: what divided triangles show
+JUMP_RMS_REL = 1e-4  # across seams, of the diagonal
 WEIGHT_SIZES_PX = (48, 64, 96, 128, 192, 256, 384, 512)
 WEIGHT_TEXELS_A_VERTEX = 0.5
 
 
-def smallest_positions(
-    surface: TexturedSurface, expected: Floats, bake: Callable[[int], tuple[Floats, Floats]]
-) -> tuple[Floats, Floats]:
+@dataclass(frozen=True)
+class Positions:
+    """A position texture of one size.
+
+    Attributes
+    ----------
+    baked, erased : (H, W, 3) float64
+        Metres, before and after erasure.
+    jump_m : float
+        Left across the seams, rms.
+    """
+
+    baked: Floats
+    erased: Floats
+    jump_m: float
+
+
+def smallest_positions(surface: TexturedSurface, expected: Floats, bake: Callable[[int], Positions]) -> Positions:
     """Positions at the smallest square size that is good enough.
 
     Parameters
@@ -39,24 +56,25 @@ def smallest_positions(
     expected : (T, 3) float64
         Positions at the texture vertices.
     bake : callable
-        From a side in texels to texels before and after erasure.
+        From a side in texels to the positions at that size.
 
     Returns
     -------
-    baked, erased : (H, W, 3) float64
+    Positions
     """
     enough = [side for side in GEOMETRY_SIZES_PX if side * side >= TEXELS_A_VERTEX * len(surface.uvs)]
     for side in enough or GEOMETRY_SIZES_PX[-1:]:
-        baked, erased = bake(side)
+        positions = bake(side)
+        erased, jump_rel = positions.erased, positions.jump_m / surface.diagonal_m
         error_rel = np.linalg.norm(sample_bilinear(erased, surface.uvs) - expected, axis=1) / surface.diagonal_m
         stays = error_rel <= PARK_REL
         rms_rel, stray_rel = _rms(error_rel[stays]), stray_rms(erased, surface) / surface.diagonal_m
-        good = rms_rel <= RMS_SHARE * GEOMETRY_RMS_REL and stray_rel <= STRAY_RMS_REL
+        good = rms_rel <= RMS_SHARE * GEOMETRY_RMS_REL and stray_rel <= STRAY_RMS_REL and jump_rel <= JUMP_RMS_REL
         log.debug("positions %d²: rms %.2g, between %.2g, %d misses", side, rms_rel, stray_rel, (~stays).sum())
         if good and (~stays).mean() <= PARKED_SHARE:
             break
     log.info("position texture: %d², rms %.2g of the diagonal, %.2g between vertices", side, rms_rel, stray_rel)
-    return baked, erased
+    return positions
 
 
 def stray_rms(texels: Floats, surface: TexturedSurface) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from preprocess.mesh import Floats, TexturedSurface
-from preprocess.sizes import GEOMETRY_SIZES_PX, WEIGHT_SIZES_PX, smallest_positions, stray_rms, weight_side
+from preprocess.sizes import GEOMETRY_SIZES_PX, WEIGHT_SIZES_PX, Positions, smallest_positions, stray_rms, weight_side
 from preprocess.texels import px_to_uv
 
 
@@ -36,22 +36,31 @@ def test_stray_is_the_distance_between_vertices() -> None:
 def test_the_first_good_size_is_taken() -> None:
     surface, tried = a_square(), []
 
-    def bake(side: int) -> tuple[Floats, Floats]:
+    def bake(side: int) -> Positions:
         tried.append(side)
-        return flat_texels(side), flat_texels(side, 0.0 if side >= 80 else 0.05)
+        return Positions(flat_texels(side), flat_texels(side, 0.0 if side >= 80 else 0.05), 0.0)
 
-    baked, erased = smallest_positions(surface, surface.positions, bake)
+    positions = smallest_positions(surface, surface.positions, bake)
     assert tried == [side for side in GEOMETRY_SIZES_PX if side <= 80]
-    assert baked.shape == erased.shape == (80, 80, 3)
+    assert positions.baked.shape == positions.erased.shape == (80, 80, 3)
+
+
+def test_open_seams_ask_for_more_texels() -> None:
+    surface = a_square()
+
+    def bake(side: int) -> Positions:
+        return Positions(flat_texels(side), flat_texels(side), 1e-3 if side < 192 else 1e-5)
+
+    assert smallest_positions(surface, surface.positions, bake).erased.shape[0] == 192
 
 
 def test_dense_meshes_do_not_try_what_cannot_hold_them() -> None:
     surface, tried = a_square(), []
     many = TexturedSurface(surface.positions, surface.faces, np.tile(surface.uvs, (2500, 1)), surface.face_uvs)
 
-    def bake(side: int) -> tuple[Floats, Floats]:
+    def bake(side: int) -> Positions:
         tried.append(side)
-        return flat_texels(side), flat_texels(side)
+        return Positions(flat_texels(side), flat_texels(side), 0.0)
 
     smallest_positions(many, np.tile(surface.positions, (2500, 1)), bake)
     assert tried == [128]  # 10,000 texture vertices
