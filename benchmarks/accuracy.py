@@ -20,11 +20,11 @@ from scipy.spatial import cKDTree
 
 from benchmarks._table import print_table
 from benchmarks.draw import CLASSIC_VERTEX_BYTES
+from preprocess.geometry.weight_details import sample_weights
+from preprocess.geometry.weights import unpack_weights
 from preprocess.gltf import Character, load_character
 from preprocess.mesh import Floats
 from preprocess.texels import sample_bilinear
-from preprocess.weight_details import sample_weights
-from preprocess.weights import unpack_weights
 from runtime.asset import Asset, load
 from runtime.gpu_levels import index_bytes, normal_bytes, owner_steps, vertex_bytes
 from runtime.gpu_textures import prepare

@@ -22,10 +22,10 @@ from preprocess.atlas import build_atlas, default_floor
 from preprocess.atlas.measure import measure_coverage, measure_stretch, straight_share
 from preprocess.atlas.overlap import find_overlap
 from preprocess.atlas.topology import cut_edges, find_edges, label_faces
-from preprocess.bake import bake_positions, vertex_values
 from preprocess.decimate import decimate_to
 from preprocess.erase import LOCAL, EraseOptions, plan_erasure
 from preprocess.errors import InputError
+from preprocess.geometry.bake import bake_positions, vertex_values
 from preprocess.gltf import load_character
 from preprocess.mesh import SkinnedMesh, TexturedSurface
 from preprocess.seams import find_seams

@@ -106,9 +106,9 @@ class Bench:
 
 def attribute_vertices(asset: Asset) -> NDArray[Any]:
     """The finest level's vertices as attributes, sampled from the same textures: position, uv, four joints, weights."""
+    from preprocess.geometry.weight_details import sample_weights
+    from preprocess.geometry.weights import unpack_weights
     from preprocess.texels import sample_bilinear
-    from preprocess.weight_details import sample_weights
-    from preprocess.weights import unpack_weights
 
     mesh = asset.lods[0]
     positions = sample_bilinear(asset.textures["position"].levels[0][:, :, :3], mesh.owner_uvs)
@@ -125,8 +125,8 @@ def attribute_vertices(asset: Asset) -> NDArray[Any]:
 
 def even_weights(asset: Asset) -> NDArray[np.uint8]:
     """All weights on an even map without details, (H, W, J) uint8, J a multiple of four: for simpler layouts."""
-    from preprocess.weight_details import sample_weights
-    from preprocess.weights import unpack_weights
+    from preprocess.geometry.weight_details import sample_weights
+    from preprocess.geometry.weights import unpack_weights
 
     stored = unpack_weights(asset.textures["weights"].levels[0], asset.weight_size, asset.num_joints)
     middles = (np.arange(LAYOUT_PX) + 0.5) / LAYOUT_PX

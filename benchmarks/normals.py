@@ -21,7 +21,7 @@ from preprocess.gltf import load_character
 from preprocess.pipeline import _build_atlas, sample_poses
 from preprocess.settings import Settings
 from preprocess.texels import sample_bilinear
-from preprocess.textures import TextureStage
+from preprocess.textures.stage import TextureStage
 
 ASSETS = Path("../shared/assets")
 MODELS = tuple(ASSETS / f"{name}.glb" for name in ("Fox", "Knight", "robot", "mannequiny"))

@@ -16,16 +16,17 @@ from numpy.typing import NDArray
 
 from demos.errors import DemoError
 from preprocess.atlas import Atlas, build_atlas
-from preprocess.bake import bake_positions, bake_weights, cover_atlas
-from preprocess.borders import find_color_borders
-from preprocess.creases import bake_surface, find_normal_uvs
 from preprocess.errors import InputError
+from preprocess.geometry.bake import bake_positions, bake_weights
+from preprocess.geometry.weights import pack_weights
 from preprocess.gltf import Character, load_character
 from preprocess.gltf.tangents import corner_tangents
-from preprocess.materials import bake_materials, bake_normals
 from preprocess.pipeline import GUTTER_PX, GUTTER_SIZE_PX
+from preprocess.raster import cover_atlas
 from preprocess.settings import Settings, floor_faces
-from preprocess.weights import pack_weights
+from preprocess.textures.borders import find_color_borders
+from preprocess.textures.creases import bake_surface, find_normal_uvs
+from preprocess.textures.materials import bake_materials, bake_normals
 from runtime.asset import Asset, TextureData
 
 

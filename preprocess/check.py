@@ -15,15 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.atlas.overlap import find_overlap
-from preprocess.creases import NormalUvs, bake_surface, move_seams
 from preprocess.erase import measure_seams
 from preprocess.errors import InputError
 from preprocess.folder import MANIFEST
+from preprocess.geometry.weight_details import measure_jump
+from preprocess.geometry.weights import unpack_weights
 from preprocess.mesh import Floats, TexturedSurface
 from preprocess.seams import Seams, find_seams
 from preprocess.texels import sample_bilinear
-from preprocess.weight_details import measure_jump
-from preprocess.weights import unpack_weights
+from preprocess.textures.creases import NormalUvs, bake_surface, move_seams
 from runtime.asset import Asset, LodMesh, load
 from runtime.errors import AssetError
 

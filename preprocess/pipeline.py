@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from preprocess.atlas import Atlas, build_atlas
-from preprocess.bake import bake_surface_positions
 from preprocess.decimate import Chain, DecimateOptions, decimate
 from preprocess.folder import MANIFEST, whole_folder
+from preprocess.geometry.bake import bake_surface_positions
+from preprocess.geometry.levels import fit_levels
 from preprocess.gltf import Character, load_character
-from preprocess.level_geometry import fit_levels
 from preprocess.mesh import Floats, Ints
 from preprocess.progress import Progress
 from preprocess.report import write_report
 from preprocess.settings import Settings, floor_faces
-from preprocess.textures import StoredTexture, TextureStage
+from preprocess.textures.stage import StoredTexture, TextureStage
 from preprocess.write import LodRow, write_folder
 from runtime.pose import rest_pose, sample, skinning_matrices
 

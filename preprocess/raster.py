@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.mesh import Floats, Ints
+from preprocess.mesh import Floats, Ints, SkinnedMesh
 from preprocess.texels import uv_to_px
 
 REACH_PX = 2.0  # how far outside a triangle texels are still its own; a bilinear cell reaches at most sqrt(2)
@@ -141,6 +141,11 @@ def clamp_extrapolation(barycentrics: NDArray[np.float32]) -> NDArray[np.float64
     excess = np.maximum(weights.max(axis=1, initial=0.0) - 1.0, -weights.min(axis=1, initial=0.0))
     scale = np.where(excess > EXTRAPOLATION, EXTRAPOLATION / np.maximum(excess, 1e-30), 1.0)[:, None]
     return 1.0 / 3.0 + (weights - 1.0 / 3.0) * scale
+
+
+def cover_atlas(mesh: SkinnedMesh, width: int, height: int) -> Coverage:
+    """Texels of an image of the given size against the atlas of a character."""
+    return rasterise(mesh.surface.uvs, mesh.surface.face_uvs, width, height)
 
 
 def fill_outside(values: Floats, known: NDArray[np.bool_]) -> Floats:

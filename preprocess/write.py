@@ -18,7 +18,7 @@ from preprocess.gltf.model_glb import write_model_glb
 from preprocess.images import Image, write_image
 from preprocess.mesh import Floats
 from preprocess.settings import Settings
-from preprocess.textures import StoredTexture
+from preprocess.textures.stage import StoredTexture
 from runtime.asset import SCHEMA
 from runtime.bounds import clip_bounds, joint_boxes
 from runtime.weight_details import WeightDetails, pack_details

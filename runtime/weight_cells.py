@@ -152,7 +152,7 @@ def build_weight_cells(
     Parameters
     ----------
     stack : (2 * N * H, W, 4) uint8 or uint16
-        As `preprocess.weights` packs it.
+        As `preprocess.geometry.weights` packs it.
     size : (W, H)
     num_joints : int
     details : WeightDetails, optional

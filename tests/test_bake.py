@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from preprocess.bake import bake_positions, bake_weights, fit_vertices
 from preprocess.color import linear_to_srgb, srgb_to_linear
+from preprocess.geometry.bake import bake_positions, bake_weights, fit_vertices
 from preprocess.mesh import SkinnedMesh, TexturedSurface
 from preprocess.raster import fill_outside, interpolate_corners, rasterise
 from preprocess.resample import sample_footprints

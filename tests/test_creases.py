@@ -14,10 +14,18 @@ from builders_scene import Scene
 
 import runtime
 from benchmarks.normals import measure
-from preprocess.bake import cover_atlas
-from preprocess.borders import BORDER, find_color_borders
-from preprocess.crease_levels import find_hard_edges, find_level_normal_uvs
-from preprocess.creases import (
+from preprocess.decimate import DecimateOptions, decimate
+from preprocess.gltf import load_character
+from preprocess.mesh import SkinnedMesh, TexturedSurface
+from preprocess.pipeline import build
+from preprocess.progress import Progress
+from preprocess.raster import cover_atlas, rasterise
+from preprocess.seams import find_seams, pick_seams
+from preprocess.settings import Settings
+from preprocess.texels import bilinear_stencil, uv_to_px
+from preprocess.textures.borders import BORDER, find_color_borders
+from preprocess.textures.crease_levels import find_hard_edges, find_level_normal_uvs
+from preprocess.textures.creases import (
     INSET,
     LEAST_AREA_REL,
     MAX_MOVE_PX,
@@ -31,15 +39,6 @@ from preprocess.creases import (
     next_corners,
     pair_inside_charts,
 )
-from preprocess.decimate import DecimateOptions, decimate
-from preprocess.gltf import load_character
-from preprocess.mesh import SkinnedMesh, TexturedSurface
-from preprocess.pipeline import build
-from preprocess.progress import Progress
-from preprocess.raster import rasterise
-from preprocess.seams import find_seams, pick_seams
-from preprocess.settings import Settings
-from preprocess.texels import bilinear_stencil, uv_to_px
 
 SIZE = (96, 96)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from preprocess.decimate import Lod
-from preprocess.parking import free_texels, park_vertices
+from preprocess.geometry.parking import free_texels, park_vertices
 from preprocess.settings import PARK_REL
 from preprocess.texels import sample_bilinear, snap_owner_uvs
 from runtime.touched_cells import touched_cells

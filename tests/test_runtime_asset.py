@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from builders_asset import build_ball, lod_mesh, weights_at
 
+from preprocess.geometry.weights import pack_weights, unpack_weights
 from preprocess.images import Image, read_image, write_image
-from preprocess.weights import pack_weights, unpack_weights
 from runtime.asset import load
 from runtime.errors import AssetError
 from runtime.weight_cells import MORE_RECORDS, WeightCells, build_weight_cells

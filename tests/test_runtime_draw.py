@@ -15,8 +15,8 @@ from builders_asset import build_ball, surface_corners, weights_at
 from builders_scene import SIDE_PX, Scene
 
 import runtime
+from preprocess.geometry.weights import unpack_weights
 from preprocess.texels import sample_bilinear
-from preprocess.weights import unpack_weights
 from runtime import gl_state
 from runtime.asset import Asset, load
 from runtime.camera import Camera

@@ -286,7 +286,7 @@ def test_drawn_levels_are_remembered_per_actor(ctx: moderngl.Context, ball: Asse
 def test_bounds_hold_every_vertex_of_every_moment(ctx: moderngl.Context, ball: Asset) -> None:
     model = Model(ctx, ball)
     mesh = ball.lods[0]
-    from preprocess.weights import unpack_weights
+    from preprocess.geometry.weights import unpack_weights
 
     rest = sample_bilinear(ball.textures["position"].levels[0], mesh.owner_uvs)
     stored = unpack_weights(ball.textures["weights"].levels[0], ball.weight_size, ball.num_joints)

@@ -4,8 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from preprocess.geometry.sizes import (
+    GEOMETRY_SIZES_PX,
+    WEIGHT_SIZES_PX,
+    Positions,
+    smallest_positions,
+    stray_rms,
+    weight_side,
+)
 from preprocess.mesh import Floats, TexturedSurface
-from preprocess.sizes import GEOMETRY_SIZES_PX, WEIGHT_SIZES_PX, Positions, smallest_positions, stray_rms, weight_side
 from preprocess.texels import px_to_uv
 
 

@@ -7,8 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from preprocess.texels import sample_bilinear
-from preprocess.weight_details import (
+from preprocess.geometry.weight_details import (
     WEIGHT_ALLOWED,
     WeightPoints,
     dense_leaves,
@@ -16,7 +15,8 @@ from preprocess.weight_details import (
     pose_moves,
     sample_weights,
 )
-from preprocess.weights import pack_weights, unpack_weights
+from preprocess.geometry.weights import pack_weights, unpack_weights
+from preprocess.texels import sample_bilinear
 from runtime.errors import AssetError
 from runtime.touched_cells import touched_cells
 from runtime.weight_cells import MORE_RECORDS, RECORDS_WIDTH, WeightCells, build_weight_cells

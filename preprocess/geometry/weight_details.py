@@ -17,10 +17,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from preprocess.geometry.weights import pack_weights, unpack_weights
 from preprocess.mesh import Floats, TexturedSurface
 from preprocess.seams import Seams
 from preprocess.texels import sample_bilinear, uv_to_px
-from preprocess.weights import pack_weights, unpack_weights
 from runtime.weight_details import WeightDetails, build_quadtree
 
 DEEPEST = 8  # a vertex a leaf, wherever two can be told apart

@@ -6,14 +6,14 @@ import dataclasses
 
 import numpy as np
 
-from preprocess.bake import bake_positions, bake_weights, settle_weights, vertex_values
 from preprocess.erase import LOCAL, EraseOptions, plan_erasure
+from preprocess.geometry.bake import bake_positions, bake_weights, settle_weights, vertex_values
+from preprocess.geometry.sizes import Positions, smallest_positions, weight_side
+from preprocess.geometry.weights import pack_weights, unpack_weights
 from preprocess.mesh import SkinnedMesh
 from preprocess.seams import Seams
-from preprocess.sizes import Positions, smallest_positions, weight_side
-from preprocess.stored_texture import StoredTexture, seam_report
 from preprocess.texels import snap_owner_uvs
-from preprocess.weights import pack_weights, unpack_weights
+from preprocess.textures.stored import StoredTexture, seam_report
 
 # The surface between vertices must stay (a change of 1e4 lets it stray two to six times as far); seams are closed as
 # far as that leaves them: at the automatic size to less than a hundredth of a per cent of the diagonal, rms.

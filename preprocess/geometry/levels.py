@@ -16,17 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from preprocess.bake import vertex_values
 from preprocess.decimate import Lod
+from preprocess.geometry.bake import vertex_values
+from preprocess.geometry.parking import park_vertices
+from preprocess.geometry.weight_details import WeightPoints, detail_weights, measure_jump, pose_moves
+from preprocess.geometry.weights import unpack_weights
 from preprocess.gltf.locate import locate_corners
 from preprocess.mesh import Floats, SkinnedMesh
-from preprocess.parking import park_vertices
 from preprocess.raster import rasterise
 from preprocess.seams import find_seams
-from preprocess.stored_texture import StoredTexture
 from preprocess.texels import px_to_uv
-from preprocess.weight_details import WeightPoints, detail_weights, measure_jump, pose_moves
-from preprocess.weights import unpack_weights
+from preprocess.textures.stored import StoredTexture
 
 log = logging.getLogger(__name__)
 

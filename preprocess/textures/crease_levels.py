@@ -10,12 +10,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from preprocess.creases import Bools, NormalUvs, move_from_creases, next_corners, pair_inside_charts
 from preprocess.decimate.lod import Lod
 from preprocess.gltf.grouping import Indices
 from preprocess.gltf.locate import expand_ranges
 from preprocess.mesh import Floats, TexturedSurface
 from preprocess.texels import uv_to_px
+from preprocess.textures.creases import Bools, NormalUvs, move_from_creases, next_corners, pair_inside_charts
 
 MAX_ERROR_TEXELS = 1.0  # levels with a larger error are drawn where a texel is less than a pixel
 NEAR_PX = 0.3  # an edge this close to a hard one lies on it

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.atlas.topology import MeshEdges, find_edges
-from preprocess.creases import Bools, next_corners
 from preprocess.gltf import Character
-from preprocess.materials import base_colors_at
 from preprocess.mesh import Floats, SkinnedMesh
 from preprocess.seams import Seams
+from preprocess.textures.creases import Bools, next_corners
+from preprocess.textures.materials import base_colors_at
 
 NEAR_ENDS = 0.15  # where along an edge its ends are asked for: at a corner itself the source may mix three colours
 BORDER = 12 / 255  # colours that differ by more, in any channel as stored, are a border

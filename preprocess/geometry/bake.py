@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from preprocess.cholesky import factor_symmetric
 from preprocess.mesh import Floats, SkinnedMesh
-from preprocess.raster import Coverage, fill_outside, interpolate_corners, rasterise
+from preprocess.raster import cover_atlas, fill_outside, interpolate_corners
 from preprocess.texels import bilinear_stencil
 
 log = logging.getLogger(__name__)
@@ -25,11 +25,6 @@ SWING, SWING_REACH_PX = 0.003, 3  # how far out of range erased weights are give
 SETTLING = 6  # alternations after that
 PROJECTIONS = 4  # alternations that keep weights non-negative; each halves what clipping costs at the vertices
 FIT_DAMPING = 1e-4  # relative to a stencil's own weight; vertices denser than texels then share the error
-
-
-def cover_atlas(mesh: SkinnedMesh, width: int, height: int) -> Coverage:
-    """Texels of an image of the given size against the atlas of a character."""
-    return rasterise(mesh.surface.uvs, mesh.surface.face_uvs, width, height)
 
 
 def bake_surface_positions(mesh: SkinnedMesh, size: tuple[int, int]) -> Floats:

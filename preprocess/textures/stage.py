@@ -16,10 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.atlas import Atlas
-from preprocess.bake import cover_atlas
-from preprocess.borders import BORDER, find_color_borders
-from preprocess.crease_levels import find_level_normal_uvs
-from preprocess.creases import NormalUvs, bake_surface, erase_surface, find_normal_uvs, move_seams
 from preprocess.decimate import Lod
 from preprocess.erase import (
     GLOBAL,
@@ -29,15 +25,18 @@ from preprocess.erase import (
     erase_mips,
 )
 from preprocess.erase.faults import Decision, choose_color_seams, choose_normal_seams, draw_decision
-from preprocess.geometry import store_positions, store_weights
+from preprocess.geometry.maps import store_positions, store_weights
 from preprocess.gltf import Character
 from preprocess.gltf.tangents import corner_tangents
-from preprocess.materials import BakedTexture, bake_materials, bake_normals
 from preprocess.mesh import Floats, SkinnedMesh, TexturedSurface
-from preprocess.raster import Coverage
+from preprocess.raster import Coverage, cover_atlas
 from preprocess.seams import Seams, find_seams, pick_seams
 from preprocess.settings import Settings
-from preprocess.stored_texture import StoredTexture, jump
+from preprocess.textures.borders import BORDER, find_color_borders
+from preprocess.textures.crease_levels import find_level_normal_uvs
+from preprocess.textures.creases import NormalUvs, bake_surface, erase_surface, find_normal_uvs, move_seams
+from preprocess.textures.materials import BakedTexture, bake_materials, bake_normals
+from preprocess.textures.stored import StoredTexture, jump
 
 log = logging.getLogger(__name__)
 

@@ -1,0 +1,1 @@
+"""Colours and normals as textures of the atlas: sampled from the source, seams erased, rounded."""
