@@ -30,9 +30,10 @@ from benchmarks._table import print_table
 from demos.headless import Canvas, create_context
 from demos.options import picture_size
 from runtime.actor import Actor
-from runtime.asset import Asset, DrawRange, LodMesh, load
+from runtime.asset import Asset, load
 from runtime.camera import Camera
 from runtime.gpu_asset import Model
+from runtime.lods import DrawRange, LodMesh
 from runtime.renderer import Renderer
 
 BUILT = (Path("out/benchmarks/human.seamless"),)

@@ -19,7 +19,8 @@ from benchmarks._table import print_table
 from preprocess.decimate.measure import sample_mesh
 from preprocess.decimate.nearest import build_tree
 from preprocess.texels import sample_bilinear
-from runtime.asset import Asset, LodMesh, load
+from runtime.asset import Asset, load
+from runtime.lods import LodMesh
 from runtime.patch_faults import divided_patches
 
 BUILT = Path("out/benchmarks/human.seamless")

@@ -24,8 +24,9 @@ from preprocess.mesh import Floats, TexturedSurface
 from preprocess.seams import Seams, find_seams
 from preprocess.texels import sample_bilinear
 from preprocess.textures.creases import NormalUvs, bake_surface, move_seams
-from runtime.asset import Asset, LodMesh, load
+from runtime.asset import Asset, load
 from runtime.errors import AssetError
+from runtime.lods import LodMesh
 
 log = logging.getLogger(__name__)
 

@@ -44,11 +44,6 @@ class Places:
         return float(np.linalg.norm(self.scale)) / 2
 
 
-def count_places(positions: Floats, joints: NDArray[Any], weights: Floats) -> int:
-    """How many different places vertices have, P."""
-    return len(_different(positions, joints, weights)[0])
-
-
 def _different(positions: Floats, joints: NDArray[Any], weights: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """One vertex of each place (P,), and the place of each vertex (V,)."""
     parts = (positions.astype("<f4"), joints.astype("<i4"), weights.astype("<f4"))

@@ -1,5 +1,7 @@
 """The exceptions of the runtime: a file is at fault, or something that was asked for cannot be drawn."""
 
+REBUILD = "build the character again with python -m preprocess"  # what to do about a folder that is wrong
+
 
 class AssetError(Exception):
     """A file that cannot be used.

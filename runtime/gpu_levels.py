@@ -14,7 +14,8 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.asset import Asset, LodMesh, MaterialData
+from runtime.asset import Asset, MaterialData
+from runtime.lods import LodMesh
 from runtime.patch_faults import divided_patches, patch_tolerance_m
 from runtime.patches import seam_edges
 

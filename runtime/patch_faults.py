@@ -12,7 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.asset import Asset, LodMesh
+from runtime.asset import Asset
+from runtime.lods import LodMesh
 from runtime.patches import build_patches
 
 Floats = NDArray[np.float32]

@@ -20,6 +20,7 @@ CROSSING = {
         "bounds",
         "png",
         "errors",
+        "lods",
         "touched_cells",
         "weight_details",
     )

@@ -12,12 +12,13 @@ import pytest
 from builders_asset import CENTRE, RADII, build_ball, surface_point
 
 from benchmarks._points import MIN_VERSION_CODE, PointCapture, differing_points
-from runtime.asset import Asset, LodMesh, load
+from runtime.asset import Asset, load
 from runtime.camera import Camera
 from runtime.gl_state import saved_state
 from runtime.gpu_asset import Model
 from runtime.gpu_levels import INSTANCE
 from runtime.gpu_textures import TEXTURE_UNITS
+from runtime.lods import LodMesh
 from runtime.patches import build_patches
 from runtime.programs import assemble
 from runtime.renderer import Renderer

@@ -164,10 +164,10 @@ def straighten(
     must_keep |= tolerance_rel == 0.0
     reduced = np.zeros(len(joint), bool)
     kept, fractions = np.ones(len(joint), bool), np.zeros(len(joint))
-    todo = np.ones(chains.num_chains, bool)
+    pending = np.ones(chains.num_chains, bool)
     guess = surface.uvs
     for round_number in range(MOST_ROUNDS):
-        kept, fractions = simplify_chains(chains, joint, limits, must_keep, kept, fractions, todo)
+        kept, fractions = simplify_chains(chains, joint, limits, must_keep, kept, fractions, pending)
         moved = straight_points(joint, kept, fractions)
         spoiled = find_crossing_points(chains, joint, moved, kept, apartness)
         if not spoiled.any():
@@ -183,8 +183,8 @@ def straighten(
         limits = tightened
         if round_number >= MOST_ROUNDS - LAST_ROUNDS:
             must_keep |= spoiled if round_number < MOST_ROUNDS - 2 else ~kept
-        todo = np.zeros(chains.num_chains, bool)
-        todo[chains.point_chains[spoiled]] = True
+        pending = np.zeros(chains.num_chains, bool)
+        pending[chains.point_chains[spoiled]] = True
     reduced_ids = chains.uv_ids[reduced]
     return _describe(surface, chains, kept, fractions, result, uv_charts[reduced_ids[reduced_ids >= 0]])
 

@@ -133,10 +133,10 @@ def _simplify(joint, length, sides, must_keep, limits_sq):  # type: ignore[no-un
 
 
 @numba.njit(cache=True)
-def _simplify_all(offsets, joint, is_seam, must_keep, limits_sq, kept, fractions, todo):  # type: ignore[no-untyped-def]
+def _simplify_all(offsets, joint, is_seam, must_keep, limits_sq, kept, fractions, pending):  # type: ignore[no-untyped-def]
     """`_simplify` for every chain that is marked, into `kept` and `fractions`."""
     for c in range(len(offsets) - 1):
-        if not todo[c]:
+        if not pending[c]:
             continue
         low, n = offsets[c], offsets[c + 1] - offsets[c]
         dims = 4 if is_seam[c] else 2
@@ -185,7 +185,7 @@ def simplify_chains(
     must_keep: Bools,
     kept: Bools,
     fractions: Floats,
-    todo: Bools,
+    pending: Bools,
 ) -> tuple[Bools, Floats]:
     """Choose the points of the marked chains that stay.
 
@@ -201,7 +201,7 @@ def simplify_chains(
     kept : (P,) bool
     fractions : (P,) float64
         The result so far, for the chains that are not marked.
-    todo : (C,) bool
+    pending : (C,) bool
 
     Returns
     -------
@@ -211,7 +211,7 @@ def simplify_chains(
         Of a removed point, between the kept points before and after it; 0 at kept points.
     """
     kept, fractions = kept.copy(), fractions.copy()
-    _simplify_all(chains.offsets, joint, chains.is_seam, must_keep, limits_uv**2, kept, fractions, todo)
+    _simplify_all(chains.offsets, joint, chains.is_seam, must_keep, limits_uv**2, kept, fractions, pending)
     return kept, fractions
 
 
