@@ -20,7 +20,7 @@ from runtime.crowd_stage import INSTANCE_WORDS, Selection
 from runtime.gpu_asset import Model
 from runtime.gpu_levels import NORMAL_ATTRIBUTES
 from runtime.gpu_textures import TEXTURE_UNITS
-from runtime.passes import set_material, what_it_lacks
+from runtime.passes import face_runs, set_material, start_lines, what_it_lacks
 from runtime.programs import build_program, set_uniforms
 from runtime.views import LINE_COLORS, LINES, CrowdFrame
 
@@ -110,17 +110,12 @@ class CrowdPasses:
         constants : mapping
             Uniforms that the model gives all its programs.
         """
-        parts, gl, view = _parts(selection), frame.gl, frame.view
-        gl.switch(gl_state.POLYGON_OFFSET_FILL, bool(view.lines))
-        gl.glDepthFunc(gl_state.LESS)
-        for blended in (False, True) if view.blends else (False,):
-            gl.switch(gl_state.BLEND, blended)
-            gl.glDepthMask(not blended)
+        parts, view = _parts(selection), frame.view
+        for blended in face_runs(frame.gl, view):
             for part in parts:
-                self._draw_faces(frame, part, constants, blended if view.blends else None)
+                self._draw_faces(frame, part, constants, blended)
         if view.lines:
-            gl.switch(gl_state.POLYGON_OFFSET_FILL, False)
-            gl.glDepthFunc(gl_state.LEQUAL)
+            start_lines(frame.gl)
             colors = {"flat_color": LINE_COLORS[view.lines]}
             over = replace(frame, view_name="lines", view=LINES, uniforms=colors)
             for part in parts:

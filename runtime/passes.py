@@ -6,7 +6,7 @@ Solid parts come first, then blended ones, then lines over both. State is saved 
 from __future__ import annotations
 
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -130,15 +130,11 @@ class Passes:
         for group in groups:
             self._models.add(group.model)
             group.model.levels.instance_buffer(group.key, group.records)
-        view = look.view
-        for blended in (False, True) if view.blends else (False,):
-            gl.switch(gl_state.BLEND, blended)
-            gl.glDepthMask(not blended)
+        for blended in face_runs(gl, look.view):
             for group in groups:
-                self._draw_faces(gl, group, look, blended if view.blends else None)
-        if view.lines:
-            gl.switch(gl_state.POLYGON_OFFSET_FILL, False)
-            gl.glDepthFunc(gl_state.LEQUAL)
+                self._draw_faces(gl, group, look, blended)
+        if look.view.lines:
+            start_lines(gl)
             for group in groups:
                 self._draw_lines(gl, group, look)
 
@@ -219,16 +215,30 @@ def _set_state(gl: Functions, view: View) -> None:
     gl.switch(gl_state.DEPTH_TEST, True)
     gl.switch(gl_state.FRAMEBUFFER_SRGB, False)
     gl.switch(gl_state.SAMPLE_ALPHA_TO_COVERAGE, False)
-    gl.glDepthFunc(gl_state.LESS)
     gl.glPolygonMode(gl_state.FRONT_AND_BACK, gl_state.FILL)
     gl.glBlendEquationSeparate(gl_state.FUNC_ADD, gl_state.FUNC_ADD)
     gl.glBlendFuncSeparate(gl_state.SRC_ALPHA, gl_state.ONE_MINUS_SRC_ALPHA, gl_state.ONE, gl_state.ONE_MINUS_SRC_ALPHA)
     gl.glCullFace(gl_state.BACK)
-    gl.switch(gl_state.POLYGON_OFFSET_FILL, bool(view.lines))
     gl.switch(gl_state.POLYGON_OFFSET_LINE, False)
     gl.glPolygonOffset(1.0, 1.0)
     if not view.writes_color:
         gl.glColorMask(0, 0, 0, 0)
+
+
+def face_runs(gl: Functions, view: View) -> Iterator[bool | None]:
+    """Which faces to draw, with the state for them set: all (None), or first the unblended, then the blended ones."""
+    gl.glDepthFunc(gl_state.LESS)
+    gl.switch(gl_state.POLYGON_OFFSET_FILL, bool(view.lines))
+    for blended in (False, True) if view.blends else (False,):
+        gl.switch(gl_state.BLEND, blended)
+        gl.glDepthMask(not blended)
+        yield blended if view.blends else None
+
+
+def start_lines(gl: Functions) -> None:
+    """State for lines over the faces that were drawn."""
+    gl.switch(gl_state.POLYGON_OFFSET_FILL, False)
+    gl.glDepthFunc(gl_state.LEQUAL)
 
 
 def set_material(program: moderngl.Program, material: MaterialData, blends: bool) -> None:
