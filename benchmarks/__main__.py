@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import benchmarks
+from preprocess.kernels import compile_quickly
 
 
 def subjects() -> list[str]:
@@ -26,6 +27,7 @@ def main(argv: list[str]) -> int:
     unknown = [name for name in options.names if name not in subjects()]
     if unknown:
         parser.error(f"no benchmark is called {unknown[0]!r}: there are {', '.join(subjects())}")
+    compile_quickly()
     rows: dict[str, list[dict[str, object]]] = {}
     for name in options.names or subjects():
         print(f"\n== {name}", flush=True)

@@ -195,6 +195,9 @@ def plan(folder: Path) -> list[Step]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry of `./run demo`."""
+    from preprocess.kernels import compile_quickly
+
+    compile_quickly()
 
     def work() -> None:
         parser = Parser("python -m demos.gallery", description="Build the built-in character and draw it.")

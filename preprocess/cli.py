@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from preprocess.errors import InputError
+from preprocess.kernels import compile_quickly
 from preprocess.settings import Settings
 
 # Command -> (module with add_arguments(parser) and run(arguments), one line of help)
@@ -176,6 +177,7 @@ def main(arguments: Sequence[str]) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a console that lacks an arrow shows a question mark instead
             stream.reconfigure(errors="replace")
+    compile_quickly()
     try:
         return _run(list(arguments))
     except InputError as error:
