@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from preprocess.mesh import TexturedSurface
@@ -53,3 +55,11 @@ def paint(width: int, height: int, channels: int = 3, seed: int = 0) -> np.ndarr
     y, x = np.mgrid[0:height, 0:width] / max(width, height)
     waves = [np.sin(2 * np.pi * (rng.uniform(0.5, 2) * x + rng.uniform(0.5, 2) * y + c)) for c in range(channels)]
     return np.clip(0.5 + 0.35 * np.stack(waves, axis=2) + rng.normal(0, 0.03, (height, width, channels)), 0, 1)
+
+
+MESHES = {
+    "cube": make_cube(),
+    "pair": make_pair(),
+    "turned pair": make_pair(turn_rad=2.2),
+    "mirrored": dataclasses.replace(make_cube(), uvs=make_cube().uvs * (-1, 1) + (1, 0)),
+}

@@ -13,6 +13,10 @@ from typing import Any
 
 import moderngl
 import pytest
+from builders_asset import build_ball
+from builders_scene import Scene
+
+from runtime.asset import Asset, load
 
 ROOT = Path(__file__).resolve().parent.parent
 ASSETS = ROOT.parent / "shared" / "assets"
@@ -97,3 +101,17 @@ def built(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Callable[
         return destination
 
     return build
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory: pytest.TempPathFactory) -> Asset:
+    """A small body of three levels."""
+    return load(build_ball(tmp_path_factory.mktemp("draw") / "ball.seamless", sizes=(12, 6, 3)))
+
+
+@pytest.fixture
+def scene(ctx: moderngl.Context, ball: Asset) -> Iterator[Scene]:
+    """The body in a scene."""
+    made = Scene(ctx, ball)
+    yield made
+    made.release()

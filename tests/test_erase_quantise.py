@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -15,14 +13,7 @@ from preprocess.erase.pair_moves import best_pair
 from preprocess.erase.quantise import PEAK, REACH, STAY, TOLERATED, _best_steps, _Search
 from preprocess.erase.solve import keep_by_contrast
 from preprocess.seams import find_seams
-from tests.builders_erase import make_cube, make_pair, paint
-
-MESHES = {
-    "cube": make_cube(),
-    "pair": make_pair(),
-    "turned pair": make_pair(turn_rad=2.2),
-    "mirrored": dataclasses.replace(make_cube(), uvs=make_cube().uvs * (-1, 1) + (1, 0)),
-}
+from tests.builders_erase import MESHES, paint
 
 
 @pytest.mark.parametrize("levels", [255, 65535])

@@ -28,15 +28,8 @@ from preprocess.erase.terms import inward_normals, jump_rows, lerp_targets, samp
 from preprocess.mesh import TexturedSurface
 from preprocess.seams import find_seams
 from preprocess.texels import sample_bilinear
-from tests.builders_erase import make_cube, make_pair, make_square, paint
+from tests.builders_erase import MESHES, make_square, paint
 from tests.test_erase_terms import full_matrix
-
-MESHES = {
-    "cube": make_cube(),
-    "pair": make_pair(),
-    "turned pair": make_pair(turn_rad=2.2),
-    "mirrored": dataclasses.replace(make_cube(), uvs=make_cube().uvs * (-1, 1) + (1, 0)),
-}
 
 
 def dense_solution(plan, image: np.ndarray, samples=None) -> np.ndarray:

@@ -28,18 +28,6 @@ from runtime.programs import build_program
 from runtime.views import VIEWS
 
 
-@pytest.fixture(scope="module")
-def ball(tmp_path_factory: pytest.TempPathFactory) -> Asset:
-    return load(build_ball(tmp_path_factory.mktemp("draw") / "ball.seamless", sizes=(12, 6, 3)))
-
-
-@pytest.fixture
-def scene(ctx: moderngl.Context, ball: Asset) -> Iterator[Scene]:
-    made = Scene(ctx, ball)
-    yield made
-    made.release()
-
-
 @pytest.mark.parametrize("view", [*VIEWS])
 @pytest.mark.parametrize("tessellation", ["off", 3.0])
 def test_every_view_draws_the_body_and_nothing_else(scene: Scene, view: str, tessellation: Any) -> None:

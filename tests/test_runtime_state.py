@@ -5,35 +5,21 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from typing import Any
 
 import moderngl
 import numpy as np
 import pytest
-from builders_asset import build_ball
 from builders_scene import Scene
 
 from runtime import gl_state
-from runtime.asset import Asset, load
+from runtime.asset import Asset
 from runtime.camera import Camera, MatrixCamera, framing
 from runtime.environment import Environment, Lighting
 from runtime.errors import RenderError
 from runtime.gpu_asset import Model
 from runtime.renderer import Renderer
 from runtime.views import VIEWS
-
-
-@pytest.fixture(scope="module")
-def ball(tmp_path_factory: pytest.TempPathFactory) -> Asset:
-    return load(build_ball(tmp_path_factory.mktemp("draw") / "ball.seamless", sizes=(12, 6, 3)))
-
-
-@pytest.fixture
-def scene(ctx: moderngl.Context, ball: Asset) -> Iterator[Scene]:
-    made = Scene(ctx, ball)
-    yield made
-    made.release()
 
 
 def driver_state(gl: gl_state.Functions) -> dict[str, Any]:
