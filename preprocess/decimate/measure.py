@@ -101,8 +101,6 @@ class Reference:
     samples : Samples
     num_samples : int
         Over the area.
-    num_samples : int
-        Over the area.
     """
 
     surface: TexturedSurface
