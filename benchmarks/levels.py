@@ -1,0 +1,109 @@
+"""Faces that a level needs for a largest error: quadrics alone, with witnesses, and meshoptimizer's `simplify`.
+
+All on a ladder of three levels an octave, of the character's own atlas, measured alike: largest distance both ways over
+the pipeline's samples and poses, in per cent of the bounding diagonal. meshoptimizer, where it is installed, gets the
+welded mesh without attributes. "-" where no level with fewer faces than the full mesh is near enough.
+
+Options: --models FILE ... (default: the test characters).
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks._table import print_table
+from preprocess.decimate import DecimateOptions, decimate
+from preprocess.decimate.measure import Reference, make_reference, sample_mesh
+from preprocess.decimate.nearest import build_tree
+from preprocess.geometry.bake import bake_surface_positions
+from preprocess.gltf import load_character
+from preprocess.mesh import Floats, Ints, TexturedSurface
+from preprocess.pipeline import SURFACE_PX, _build_atlas, draw_groups, sample_poses
+from preprocess.settings import Settings
+
+ASSETS = Path(__file__).resolve().parent.parent.parent / "shared" / "assets"
+MODELS = tuple(ASSETS / f"{name}.glb" for name in ("human", "mannequiny", "Knight", "Fox"))
+ERRORS_REL = (0.001, 0.002, 0.004, 0.008, 0.016, 0.032)
+STEPS_AN_OCTAVE, COARSEST_FACES = 3, 60
+
+Ladder = list[tuple[int, float]]  # faces and largest error, metres, of each level
+
+
+def _meshoptimizer(surface: TexturedSurface, reference: Reference) -> Ladder | None:
+    """Its levels, measured as ours are; None where it is not installed."""
+    try:
+        import meshoptimizer
+    except ImportError:
+        return None
+    positions = np.ascontiguousarray(surface.positions, np.float32)
+    indices = np.ascontiguousarray(surface.faces.ravel(), np.uint32)
+    levels: Ladder = []
+    wanted = float(len(surface.faces))
+    while wanted >= COARSEST_FACES:
+        result = np.zeros_like(indices)
+        options: dict[str, Any] = {"target_index_count": 3 * int(wanted), "target_error": 1e9}
+        count = meshoptimizer.simplify(
+            result, indices, positions, len(indices), len(positions), positions.strides[0], **options
+        )
+        faces = result[:count].reshape(-1, 3).astype(np.int32)
+        levels.append((len(faces), _largest_m(reference, surface.positions, faces)))
+        wanted /= 2 ** (1 / STEPS_AN_OCTAVE)
+    return levels
+
+
+def _largest_m(reference: Reference, positions: Floats, faces: Ints) -> float:
+    """Largest two-sided distance of faces over the full mesh's own vertices, in all poses, metres."""
+    samples, largest = sample_mesh(positions, faces, reference.num_samples), 0.0
+    for posed, tree in zip(reference.posed, reference.trees, strict=True):
+        there = tree.query(samples.points(posed, faces))[0].max()
+        full = reference.samples.points(posed, reference.surface.faces)
+        largest = max(largest, float(there), float(build_tree(posed[faces]).query(full)[0].max()))
+    return largest
+
+
+def _fewest(ladder: Ladder | None, error_m: float, num_faces: int) -> int | None:
+    good = [faces for faces, error in ladder or () if error <= error_m and faces < num_faces]
+    return min(good, default=None)
+
+
+def _measure(model: Path) -> list[dict[str, Any]]:
+    """One row an error."""
+    character, settings = load_character(model), Settings()
+    mesh, poses = _build_atlas(character, settings).mesh, sample_poses(character)
+    surface = mesh.surface
+    blended = np.einsum("vj,pjik->pvik", mesh.dense_weights(poses.shape[1]), poses[:, :, :3])
+    position, groups = (
+        bake_surface_positions(mesh, (SURFACE_PX, SURFACE_PX)),
+        draw_groups(character, mesh.face_materials),
+    )
+    octaves = np.log2(len(surface.faces) / COARSEST_FACES)
+    ratios = tuple(2.0 ** (-np.arange(int(octaves * STEPS_AN_OCTAVE) + 1) / STEPS_AN_OCTAVE))
+
+    def ours(peak_weight: float | None) -> Ladder:
+        options = DecimateOptions(ratios=ratios, peak_weight=peak_weight)
+        chain = decimate(surface, options, position_texture=position, poses=blended, face_groups=groups)
+        return [(lod.num_faces, lod.error_m) for lod in chain.lods]
+
+    rival = _meshoptimizer(surface, make_reference(surface, blended))
+    ladders = {"quadrics alone": ours(0.0), "with witnesses": ours(None), "meshoptimizer": rival}
+    return [
+        {"character": model.stem, "largest error %": 100 * error_rel}
+        | {
+            name: _fewest(ladder, error_rel * surface.diagonal_m, len(surface.faces))
+            for name, ladder in ladders.items()
+        }
+        for error_rel in ERRORS_REL
+    ]
+
+
+def run(argv: list[str]) -> list[dict[str, Any]]:
+    """Print the table; see the module's text."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks levels", allow_abbrev=False)
+    parser.add_argument("--models", type=Path, nargs="+", default=[model for model in MODELS if model.is_file()])
+    rows = [row for model in parser.parse_args(argv).models for row in _measure(model)]
+    print_table(rows)
+    return rows
