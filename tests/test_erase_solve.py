@@ -289,3 +289,26 @@ def test_weights_can_be_set():
     loose = erase(image, surface, seams, EraseOptions(weights=Weights(change=1e1))).texels
     inside = plan_erasure(surface, seams, 48, 48).region.inside
     assert np.abs(stiff - image)[inside].sum() < np.abs(loose - image)[inside].sum()
+
+
+def test_seams_along_texel_centres_read_cells_of_the_region():
+    """Rounding decides between the cells beside such an edge, differently for the pair and for one side alone."""
+    num_columns, size_px = 9, 64
+    row = num_columns + 1
+    left = np.arange(num_columns)
+    positions = np.array([[x, y, 0.0] for y in range(3) for x in range(row)])
+    quads = np.stack([left, left + 1, left + row + 1, left + row], axis=1)
+    quads = np.concatenate([quads, quads + row])
+    uv_quads = quads.copy()
+    uv_quads[num_columns:] += row  # the middle row is twice in uv: a seam
+    for seed in range(6):
+        x = np.sort(np.random.default_rng(seed).uniform(5, 60, row))
+        rows_px = [np.full(row, 5.0), np.full(row, 20.0), 30 + 4 * np.sin(x), 50 + 4 * np.sin(x)]
+        surface = TexturedSurface(
+            positions,
+            np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype(np.int32),
+            (np.concatenate([np.stack([x, y], axis=1) for y in rows_px]) + 0.5) / size_px,
+            np.concatenate([uv_quads[:, [0, 1, 2]], uv_quads[:, [0, 2, 3]]]).astype(np.int32),
+        )
+        plan = plan_erasure(surface, find_seams(surface), size_px, size_px)
+        assert np.isin(plan.intervals.texels[:, :, 0], plan.region.cells).all()

@@ -84,7 +84,14 @@ def plan_erasure(
     intervals = split_edges(surface.uvs[seams.uv_pairs[joined]], width, height, repeat=options.repeat)
     silhouette = split_edges(silhouette_lines(surface, seams), width, height, repeat=options.repeat)
     region = find_region(
-        surface, seams, width, height, repeat=options.repeat, silhouette=silhouette, sample_uvs=sample_uvs
+        surface,
+        seams,
+        width,
+        height,
+        repeat=options.repeat,
+        silhouette=silhouette,
+        sample_uvs=sample_uvs,
+        seam_cells=intervals.texels[:, :, 0],
     )
     fine_reach, reach = _reaches(options.weights, region.num_inside)
     grid = build_grid(region, fine_reach=fine_reach, reach=reach)

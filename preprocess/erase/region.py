@@ -164,6 +164,7 @@ def find_region(
     repeat: bool = False,
     silhouette: Intervals | None = None,
     sample_uvs: Floats | None = None,
+    seam_cells: NDArray[np.int64] | None = None,
 ) -> Region:
     """Sort the texels of an image by their use.
 
@@ -178,6 +179,9 @@ def find_region(
         `split_edges(silhouette_lines(surface, seams), width, height)` where the caller has it.
     sample_uvs : (N, 2) float64, optional
         Points whose cells count as silhouette cells, so that the texture is free to change there.
+    seam_cells : (N,) or more int64, optional
+        Cells that the seams read when their two sides are cut together. Where an edge runs along a line of texel
+        centres, rounding decides between the cells beside it, and may decide otherwise for a lone edge.
 
     Returns
     -------
@@ -187,6 +191,8 @@ def find_region(
         silhouette = split_edges(silhouette_lines(surface, seams), width, height, repeat=repeat)
     inside = find_inside(surface, width, height, repeat=repeat)
     parts = [silhouette.texels[:, 0, 0]]
+    if seam_cells is not None:
+        parts.append(seam_cells.reshape(-1))
     if sample_uvs is not None:
         parts.append(bilinear_stencil(sample_uvs, width, height)[0][:, 0])
     if len(surface.uvs) and (surface.uvs.min() < 0 or surface.uvs.max() > 1):
