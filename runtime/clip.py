@@ -6,13 +6,14 @@ Letters in shapes: K keys, C components (3, or 4 for rotations). The stacked for
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.clip_faults import mend_keys
 from runtime.errors import AssetError
 from runtime.keys import Keys, stack_tracks
 from runtime.skeleton import Skeleton
@@ -139,7 +140,57 @@ def _node_map(document: Document, skeleton: Skeleton, by_name: bool) -> dict[int
     return mapped
 
 
-def read_clips(document: Document, skeleton: Skeleton, by_name: bool = False) -> tuple[Clip, ...]:
+def _read_tracks(
+    animation: dict[str, Any],
+    to_skeleton: dict[int, int],
+    skeleton: Skeleton,
+    accessors: _AccessorCache,
+    where: str,
+    faults: list[str] | None,
+) -> list[Track]:
+    """The tracks of one animation that move the skeleton's nodes."""
+    fixed = frozenset(int(node) for node in skeleton.matrix_nodes)
+    samplers = animation.get("samplers", [])
+    tracks: list[Track] = []
+    start_s = 0.0
+    for channel in animation.get("channels", []):
+        target = channel.get("target", {})
+        path = target.get("path")
+        node = to_skeleton.get(target.get("node", -1))
+        if node is None or node in fixed or path not in COMPONENTS:
+            continue
+        place = f"{where}, node {skeleton.names[node]!r}, {path}"
+        sampler_index = channel.get("sampler", -1)
+        if not isinstance(sampler_index, int) or not 0 <= sampler_index < len(samplers):
+            raise AssetError(f"{place}: sampler {sampler_index} does not exist; re-export the clip")
+        sampler = samplers[sampler_index]
+        if "input" not in sampler or "output" not in sampler:
+            raise AssetError(f"{place}: its sampler lacks input or output; re-export the clip")
+        times, values = accessors.read(sampler["input"]), accessors.read(sampler["output"])
+        mode = str(sampler.get("interpolation", "LINEAR"))
+        if faults is None:
+            tracks.append(_checked_track(node, path, mode, times, values, place))
+            continue
+        times, values, mended = mend_keys(times, values, 3 if mode == "CUBICSPLINE" else 1, path)
+        before = min(float(times[0]), 0.0) if times.ndim == 1 and len(times) else 0.0
+        try:
+            track = _checked_track(node, path, mode, times - before, values, place)
+        except AssetError as error:
+            faults.append(f"left out: {error}")
+            continue
+        faults += [f"{place}: {words}" for words in mended]
+        tracks.append(replace(track, times=track.times + before))
+        start_s = min(start_s, before)
+    if start_s < 0:
+        assert faults is not None
+        faults.append(f"{where} starts {-start_s:g} s before 0: moved to start at 0")
+        tracks = [replace(track, times=track.times - start_s) for track in tracks]
+    return tracks
+
+
+def read_clips(
+    document: Document, skeleton: Skeleton, by_name: bool = False, faults: list[str] | None = None
+) -> tuple[Clip, ...]:
     """Read every clip of a file, as far as it moves the skeleton's nodes.
 
     Parameters
@@ -148,6 +199,8 @@ def read_clips(document: Document, skeleton: Skeleton, by_name: bool = False) ->
     skeleton : Skeleton
     by_name : bool
         Match nodes by name rather than by index: for clips from another file than the skeleton's.
+    faults : list of str, optional
+        Where given, damaged tracks are mended (clip_faults.py) or left out, and each is told here.
 
     Returns
     -------
@@ -157,8 +210,8 @@ def read_clips(document: Document, skeleton: Skeleton, by_name: bool = False) ->
     Raises
     ------
     AssetError
-        When key times do not rise, shapes disagree, or a number is not finite; or, by name, when the file has clips
-        and none of its nodes is in the skeleton.
+        When key times do not rise, shapes disagree, or a number is not finite (without `faults`); or, by name, when
+        the file has clips and none of its nodes is in the skeleton.
     """
     path = str(getattr(document, "path", None) or "file")
     animations: list[dict[str, Any]] = document.json.get("animations", [])
@@ -166,27 +219,10 @@ def read_clips(document: Document, skeleton: Skeleton, by_name: bool = False) ->
     if by_name and animations and not to_skeleton:
         raise AssetError(f"{path}: none of its nodes has the name of one of the skeleton's; rename the joints to match")
     accessors = _AccessorCache(document)
-    fixed = frozenset(int(node) for node in skeleton.matrix_nodes)
     clips: list[Clip] = []
     for number, animation in enumerate(animations):
         name = str(animation.get("name") or f"clip {number}")
-        samplers = animation.get("samplers", [])
-        tracks: list[Track] = []
-        for channel in animation.get("channels", []):
-            target = channel.get("target", {})
-            node = to_skeleton.get(target.get("node", -1))
-            if node is None or node in fixed or target.get("path") not in COMPONENTS:
-                continue
-            where = f"{path}: clip {name!r}, node {skeleton.names[node]!r}, {target['path']}"
-            sampler_index = channel.get("sampler", -1)
-            if not isinstance(sampler_index, int) or not 0 <= sampler_index < len(samplers):
-                raise AssetError(f"{where}: sampler {sampler_index} does not exist; re-export the clip")
-            sampler = samplers[sampler_index]
-            if "input" not in sampler or "output" not in sampler:
-                raise AssetError(f"{where}: its sampler lacks input or output; re-export the clip")
-            times, values = accessors.read(sampler["input"]), accessors.read(sampler["output"])
-            mode = str(sampler.get("interpolation", "LINEAR"))
-            tracks.append(_checked_track(node, target["path"], mode, times, values, where))
+        tracks = _read_tracks(animation, to_skeleton, skeleton, accessors, f"{path}: clip {name!r}", faults)
         duration = max((float(track.times[-1]) for track in tracks), default=0.0)
         clips.append(Clip(name, duration, tuple(tracks)))
     return tuple(clips)

@@ -128,7 +128,10 @@ SCHEMA: Rule = {
 
 
 def _find_fault(value: Any, rule: Rule) -> tuple[str, str] | None:
-    """Where below a value its rule is broken and what belongs there, or None. Files hold 10^5 values: kept lean."""
+    """Where below a value its rule is broken and what belongs there, or None. Files hold 10^5 values: kept lean.
+
+    JSON has one kind of number: exporters that write 3 as 3.0 mean 3, and it is made that in its place.
+    """
     if isinstance(rule, dict):
         if not isinstance(value, dict):
             return "", "an object"
@@ -136,6 +139,8 @@ def _find_fault(value: Any, rule: Rule) -> tuple[str, str] | None:
         for key, item in value.items():
             inner = rule.get(key, other)
             if inner is not None:
+                if inner is INDEX and type(item) is float and item.is_integer():
+                    value[key] = item = int(item)  # no key is added: the loop goes on
                 fault = _find_fault(item, inner)
                 if fault:
                     return f".{key}{fault[0]}", fault[1]
@@ -145,12 +150,13 @@ def _find_fault(value: Any, rule: Rule) -> tuple[str, str] | None:
             return "", "a list"
         inner = rule[0]
         for position, item in enumerate(value):
+            if inner is INDEX and type(item) is float and item.is_integer():
+                value[position] = item = int(item)
             fault = _find_fault(item, inner)
             if fault:
                 return f"[{position}]{fault[0]}", fault[1]
         return None
     if rule is INDEX:
-        # JSON has one kind of number: some exporters write 3 as 3.0, which json gives as a float; that is refused.
         return None if type(value) is int and value >= 0 else ("", rule.value)
     if rule is NUMBER:
         fits = type(value) in (int, float) and abs(value) < 1e300 and math.isfinite(value)
@@ -159,7 +165,7 @@ def _find_fault(value: Any, rule: Rule) -> tuple[str, str] | None:
 
 
 def check_types(root: dict[str, Any], name: str) -> None:
-    """Check the types of everything in a glTF file's JSON that readers look at.
+    """Check the types of everything in a glTF file's JSON that readers look at; whole numbers become ints.
 
     Parameters
     ----------

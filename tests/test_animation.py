@@ -252,6 +252,46 @@ def test_broken_clips_are_refused_in_one_line(times: Any, values: Any, path: str
     assert "\n" not in str(caught.value)
 
 
+def mended_clip(*arguments: Any, **options: Any) -> tuple[Any, list[str]]:
+    document = clip_document(*arguments, **options)
+    faults: list[str] = []
+    (clip,) = read_clips(document, read_skeleton(document, [0], np.eye(4)[None]), faults=faults)
+    assert all("\n" not in fault and "clip 'clip 0'" in fault for fault in faults)
+    return clip, faults
+
+
+def test_damaged_keys_are_mended_where_it_is_clear_how() -> None:
+    steps = np.arange(12.0).reshape(4, 3)
+    clip, faults = mended_clip([0, 1, 1, 2], steps)  # a jump at 1 s stays one
+    (track,) = clip.tracks
+    assert len(faults) == 1 and "1 keys at the time of another" in faults[0]
+    np.testing.assert_array_equal(track.values, steps)
+    assert (np.diff(track.times.astype(np.float32)) > 0).all() and track.times[2] == pytest.approx(1, abs=1e-6)
+    clip, faults = mended_clip([0, 1, 1, 1, 1, 2], np.arange(18.0).reshape(6, 3))
+    np.testing.assert_array_equal(clip.tracks[0].values[:, 0], [0, 3, 12, 15])
+    clip, faults = mended_clip([0, np.nan, 2], [[0, 0, 0], [1, 1, 1], [2, np.inf, 2]])
+    assert len(clip.tracks[0].times) == 1 and "2 keys" in faults[0]
+    turn = [[0, 0, 0, 1], [0, 0, 0, 0], [0, 0, 1, 0]]
+    clip, faults = mended_clip([0, 1, 2], turn, "rotation")
+    np.testing.assert_array_equal(clip.tracks[0].times, [0, 2])
+    tangents = np.zeros((6, 4))
+    tangents[[1, 4], 3] = 1
+    clip, faults = mended_clip([0, 1], tangents, "rotation", "CUBICSPLINE")  # its tangents may be zero
+    assert not faults and clip.tracks[0].values.shape == (2, 3, 4)
+
+
+def test_clips_from_before_zero_start_at_zero() -> None:
+    clip, faults = mended_clip([-1, 0.5], [[0, 0, 0], [3, 0, 0]])
+    np.testing.assert_array_equal(clip.tracks[0].times, [0, 1.5])
+    assert clip.duration_s == 1.5 and "1 s before 0" in faults[0]
+
+
+@pytest.mark.parametrize(("times", "rows"), [([1, 0.5], 2), ([0, 1], 3), ([], 0), ([np.nan, np.nan], 2)])
+def test_tracks_beyond_mending_are_left_out(times: list[float], rows: int) -> None:
+    clip, faults = mended_clip(times, np.zeros((rows, 3)))
+    assert clip.tracks == () and len(faults) == 1 and faults[0].startswith("left out: ")
+
+
 def test_clips_from_another_file_match_by_name() -> None:
     document = clip_document([0, 1], [[0, 0, 0], [0, 2, 0]])
     nodes = [{"name": "armature", "children": [1]}, {"name": "root"}]

@@ -107,6 +107,19 @@ def test_every_accessor_of_the_characters_reads(name: str) -> None:
         assert len(document.accessor(index)) == spec["count"]
 
 
+def test_whole_numbers_may_be_written_with_a_point(tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    shape = builder.primitive([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    shape["indices"] = float(shape["indices"])
+    builder.node(mesh=builder.mesh(shape))
+    for accessor in builder.json["accessors"]:
+        accessor["count"] = float(accessor["count"])
+    builder.json["scenes"][0]["nodes"] = [0.0]
+    document = read_document(builder.write(tmp_path / "a.glb"))
+    assert document.accessor(int(shape["indices"])).tolist() == [0, 1, 2]
+    assert document.json["scenes"][0]["nodes"] == [0] and type(document.json["scenes"][0]["nodes"][0]) is int
+
+
 def test_nothing_is_decoded_before_it_is_asked_for() -> None:
     path = asset("Knight.glb")
     read_document(path)

@@ -256,3 +256,14 @@ def test_only_the_default_scene_is_built(tmp_path: Path) -> None:
     assert load_character(builder.write(tmp_path / "a.glb")).mesh.num_faces == 2
     builder.json["scene"] = 1
     assert load_character(builder.write(tmp_path / "b.glb")).mesh.surface.positions.min(axis=0)[0] == 9
+
+
+def test_a_default_scene_without_meshes_gives_way_to_one_with(tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    shape = grid(1, 1)
+    builder.node(mesh=builder.mesh(builder.primitive(shape["positions"], shape["faces"])))
+    camera = builder.add("nodes", name="Camera")
+    builder.json["scenes"].insert(0, {"nodes": [camera]})
+    character = load_character(builder.write(tmp_path / "a.glb"))
+    assert character.mesh.num_faces == 2
+    assert "scene 0 shows no mesh: scene 1 is built instead" in character.warnings

@@ -73,7 +73,9 @@ def _load(document: Document) -> Character:
     )
     mesh.validate()
     skeleton = read_skeleton(document, scene.joint_nodes.tolist(), scene.inverse_bind)
-    clips = read_clips(document, skeleton)
+    faults: list[str] = []
+    clips = read_clips(document, skeleton, faults=faults)
+    warnings += [fault.replace(f"{document.path}: ", "") for fault in faults]
     warnings += _dropped_channels(document, clips)
     return Character(
         name=document.path.stem,

@@ -86,14 +86,25 @@ class _Skin:
     inverse: Floats
 
 
-def _scene_nodes(document: Document) -> Iterator[int]:
-    """Nodes of the default scene, parents first, children in the file's order."""
+def _choose_scene(document: Document, warnings: list[str]) -> list[int]:
+    """Roots of the default scene, or of the first with a mesh where that one shows none."""
     scenes, nodes = document.items("scenes"), document.items("nodes")
-    if scenes:
-        roots = document.item("scenes", document.json.get("scene", 0)).get("nodes", [])
-    else:
+    if not scenes:
         children = {child for node in nodes for child in node.get("children", [])}
-        roots = [index for index in range(len(nodes)) if index not in children]
+        return [index for index in range(len(nodes)) if index not in children]
+    default = document.json.get("scene", 0)
+    candidates = [document.item("scenes", default), *scenes]
+    for number, scene in enumerate(candidates):
+        roots: list[int] = scene.get("nodes", [])
+        if any("mesh" in document.item("nodes", node) for node in _nodes_below(document, roots)):
+            if number:
+                warnings.append(f"scene {default} shows no mesh: scene {number - 1} is built instead")
+            return roots
+    return []
+
+
+def _nodes_below(document: Document, roots: list[int]) -> Iterator[int]:
+    """Roots and all nodes below them, parents first, children in the file's order."""
     stack = list(reversed(roots))
     while stack:
         index = stack.pop()
@@ -122,10 +133,10 @@ def _read_skin(document: Document, index: int) -> _Skin:
 
 
 def _read_instances(document: Document, warnings: list[str]) -> list[_Instance]:
-    """Every primitive of every mesh node of the default scene, decoded once a mesh."""
+    """Every primitive of every mesh node of the scene, decoded once a mesh."""
     meshes: dict[int, list[tuple[Primitive, str]]] = {}
     instances = []
-    for node in _scene_nodes(document):
+    for node in _nodes_below(document, _choose_scene(document, warnings)):
         spec = document.item("nodes", node)
         if "EXT_mesh_gpu_instancing" in spec.get("extensions", {}):
             raise InputError(
@@ -280,7 +291,9 @@ def read_scene(document: Document) -> Scene:
     binder = _Binder(document)  # first: it refuses a tree with a cycle
     instances = _read_instances(document, warnings)
     if not instances:
-        raise InputError(f"{document.path.name} has no mesh with triangles in its default scene: nothing to build")
+        raise InputError(
+            f"{document.path.name} has no mesh with triangles in its scene: export the character's meshes with it"
+        )
     binder.size_m = max(float(np.nanmax(np.abs(instance.primitive.positions))) for instance in instances)
 
     skinned: dict[int, list[tuple[_Instance, NDArray[np.int64], Floats]]] = {}
