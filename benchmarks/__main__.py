@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import benchmarks
+from demos.extras import needs_packages
 from preprocess.kernels import compile_quickly
 
 
@@ -31,7 +32,9 @@ def main(argv: list[str]) -> int:
     rows: dict[str, list[dict[str, object]]] = {}
     for name in options.names or subjects():
         print(f"\n== {name}", flush=True)
-        rows[name] = importlib.import_module(f"benchmarks.{name}").run(extra)
+        with needs_packages(__name__, "benchmarks", "bench"):
+            measure = importlib.import_module(f"benchmarks.{name}").run
+        rows[name] = measure(extra)
     if options.json is not None:
         options.json.write_text(json.dumps(rows, indent=1) + "\n")
     return 0

@@ -18,19 +18,23 @@ from typing import Any
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from demos.before import find_source, without_erasure
 from demos.errors import DemoError
+from demos.extras import needs_packages
 from demos.headless import create_context, write_png
 from demos.options import Options, Parser, add_arguments, options_of, run
-from demos.pictures import Pixels, Studio, label, side_by_side
 from demos.viewer import choose_camera, find_folder, make_actor
 from runtime.actor import Actor
 from runtime.asset import Asset, load
 from runtime.camera import Camera
 from runtime.gpu_asset import Model
 from runtime.renderer import Renderer
+
+with needs_packages(__name__, "compare"):
+    from scipy.spatial import cKDTree
+
+    from demos.before import find_source, without_erasure
+    from demos.pictures import Pixels, Studio, label, side_by_side
 
 CLOSE_REL = 0.055  # half height of a close-up, of the bounding diagonal
 

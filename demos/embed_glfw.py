@@ -11,13 +11,16 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-import glfw
 import moderngl
 
 from demos.embedding import Scripted, parse_arguments, save_picture
 from demos.errors import DemoError
+from demos.extras import needs_packages
 from demos.options import run
 from demos.walk_scene import WalkScene
+
+with needs_packages(__name__, "embed_glfw"):
+    import glfw
 
 
 def open_window(size: tuple[int, int]) -> Any:

@@ -10,11 +10,13 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-import moderngl_window
-
 from demos.embedding import EmbedOptions, Scripted, parse_arguments, save_picture
+from demos.extras import needs_packages
 from demos.options import run
 from demos.walk_scene import WalkScene
+
+with needs_packages(__name__, "embed_moderngl_window"):
+    import moderngl_window
 
 
 class WalkWindow(moderngl_window.WindowConfig):  # type: ignore[misc]

@@ -10,12 +10,15 @@ import sys
 from collections.abc import Sequence
 
 import moderngl
-import pygame
 
 from demos.embedding import Scripted, parse_arguments, save_picture
 from demos.errors import DemoError
+from demos.extras import needs_packages
 from demos.options import run
 from demos.walk_scene import WalkScene
+
+with needs_packages(__name__, "embed_pygame"):
+    import pygame
 
 
 def open_window(size: tuple[int, int]) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from demos.errors import DemoError
+from demos.extras import missing_package
 from runtime.errors import AssetError, RenderError
 
 VIEW_NAMES = ("lit", "base_color", "normal", "position", "weights", "lod", "wireframe", "seams", "mask")
@@ -173,6 +174,12 @@ def run(program: str, work: Callable[[], None]) -> int:
         work()
     except (DemoError, AssetError, RenderError) as error:
         print(f"{program}: {error}", file=sys.stderr)
+        return 2
+    except ModuleNotFoundError as error:
+        told = missing_package(error)
+        if told is None:
+            raise
+        print(f"{program}: {told}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130

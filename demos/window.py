@@ -29,7 +29,7 @@ class Window:
             import glfw
         except ImportError:
             raise DemoError(
-                "windows need GLFW: pip install 'seamskin[demos]', or use --headless --out FILE.png"
+                'windows need GLFW: pip install "seamskin[demos]", or use --headless --out FILE.png'
             ) from None
         self._glfw = glfw
         self.on_key: Callable[[str], None] = lambda name: None

@@ -10,6 +10,7 @@ import errno
 import importlib
 import io
 import logging
+import os
 import sys
 import traceback
 from collections.abc import Sequence
@@ -179,7 +180,12 @@ def main(arguments: Sequence[str]) -> int:
             stream.reconfigure(errors="replace")
     compile_quickly()
     try:
-        return _run(list(arguments))
+        status = _run(list(arguments))
+        sys.stdout.flush()
+        return status
+    except BrokenPipeError:  # whoever read our lines has seen enough: `| head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except InputError as error:
         return _refuse(str(error))
     except KeyboardInterrupt:
