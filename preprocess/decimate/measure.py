@@ -134,18 +134,22 @@ class Distances:
     normal_rad: float
 
 
-def measure(reference: Reference, lod: Lod) -> Distances:
+def measure(reference: Reference, lod: Lod, matrices: Floats | None = None) -> Distances:
     """Compare a level with the full mesh, both ways, in all poses.
 
     Parameters
     ----------
     reference : Reference
     lod : Lod
+    matrices : (P, V, 3, 4) float64 or None
+        Those that its vertices are drawn with in the poses, without the bind pose; None takes the surface's own.
     """
     num_samples = reference.num_samples
     if len(reference.matrices) > 1:
-        matrices = blend_matrices(reference.surface, lod.uvs[lod.owner_uvs], reference.matrices)
-        posed = np.einsum("pvij,vj->pvi", matrices[..., :3], lod.positions) + matrices[..., 3]
+        if matrices is None:
+            matrices = blend_matrices(reference.surface, lod.uvs[lod.owner_uvs], reference.matrices[1:])
+        moved = np.einsum("pvij,vj->pvi", matrices[..., :3], lod.positions) + matrices[..., 3]
+        posed = np.concatenate([lod.positions[None], moved])
     else:
         posed = lod.positions[None]
     samples = sample_mesh(lod.positions, lod.faces, num_samples)

@@ -17,9 +17,16 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from preprocess.decimate import Lod
+from preprocess.decimate.measure import make_reference, measure
 from preprocess.geometry.bake import vertex_values
 from preprocess.geometry.parking import park_vertices
-from preprocess.geometry.weight_details import WeightPoints, detail_weights, measure_jump, pose_moves
+from preprocess.geometry.weight_details import (
+    WeightPoints,
+    detail_weights,
+    measure_jump,
+    pose_moves,
+    sample_weights,
+)
 from preprocess.geometry.weights import unpack_weights
 from preprocess.gltf.locate import locate_corners
 from preprocess.mesh import Floats, SkinnedMesh
@@ -173,6 +180,32 @@ def _as_integers(texture: StoredTexture) -> NDArray[Any]:
     return np.rint(texture.levels[0] * np.iinfo(kind).max).astype(kind)
 
 
+def _measured(
+    mesh: SkinnedMesh, weights: StoredTexture, lods: Sequence[Lod], allowed: Sequence[Lod], poses: Floats
+) -> tuple[Lod, ...]:
+    """Levels with the distances of what is drawn: positions and weights as they are fetched, in all poses.
+
+    The finest has what its vertices are off. A relaxed level's error is no less than what hides its seams, which
+    decimation has said (`allowed`); and no level's is less than a finer one's.
+    """
+    num_joints = poses.shape[1]
+    stored = unpack_weights(_as_integers(weights), weights.size, num_joints)
+    rows = poses[:, :, :3]
+    reference = make_reference(mesh.surface, np.einsum("vj,pjik->pvik", mesh.dense_weights(num_joints), rows))
+    finished = [lods[0]]
+    for lod, before in zip(lods[1:], allowed[1:], strict=True):
+        uvs = lod.uvs[lod.owner_uvs] if lod.fetch_uvs is None else lod.fetch_uvs
+        drawn = (
+            sample_bilinear(stored, uvs) if weights.details is None else sample_weights(stored, weights.details, uvs)
+        )
+        found = measure(reference, lod, np.einsum("vj,pjik->pvik", drawn, rows))
+        error_m = max(found.largest_m, finished[-1].error_m, 0.0 if lod.exact else before.error_m)
+        finished.append(
+            dataclasses.replace(lod, error_m=error_m, mean_error_m=found.mean_m, normal_error_rad=found.normal_rad)
+        )
+    return tuple(finished)
+
+
 def fit_levels(
     mesh: SkinnedMesh, textures: Sequence[StoredTexture], lods: Sequence[Lod], poses: Floats
 ) -> tuple[list[StoredTexture], tuple[Lod, ...]]:
@@ -193,7 +226,7 @@ def fit_levels(
     -------
     textures : list of StoredTexture
     lods : tuple of Lod
-        With `fetch_uvs`.
+        With `fetch_uvs` and the distances of what is drawn.
     """
     by_name = {texture.name: texture for texture in textures}
     owners = [_locate_full(mesh, lods[0]), *(_locate_owners(mesh, lod) for lod in lods[1:])]
@@ -204,4 +237,4 @@ def fit_levels(
     texels, fitted = park_vertices(texels, lods, full, mesh.surface.diagonal_m, margin_uv)
     by_name["position"] = dataclasses.replace(position, levels=(texels,))
     by_name["weights"] = _detail(by_name["weights"], mesh, fitted, owners, poses)
-    return list(by_name.values()), fitted
+    return list(by_name.values()), _measured(mesh, by_name["weights"], fitted, lods, poses)

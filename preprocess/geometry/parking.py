@@ -72,7 +72,7 @@ def park_vertices(
     -------
     texels : (H, W, 3) float32
     lods : tuple of Lod
-        With `fetch_uvs`, and the positions that are drawn; a level's error grows by what it is off now.
+        With `fetch_uvs`, and the positions that are drawn; a level's error grows by what it is off now, a bound.
     """
     height, width = texels.shape[:2]
     wanted = [full_positions, *(lod.positions for lod in lods[1:])]
