@@ -32,7 +32,7 @@ from preprocess.gltf.locate import locate_corners
 from preprocess.mesh import Floats, SkinnedMesh
 from preprocess.raster import rasterise
 from preprocess.seams import find_seams
-from preprocess.texels import px_to_uv
+from preprocess.texels import px_to_uv, sample_bilinear
 from preprocess.textures.stored import StoredTexture
 
 log = logging.getLogger(__name__)
