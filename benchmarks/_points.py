@@ -68,7 +68,7 @@ class PointCapture:
     def __init__(self, model: Model, defines: Mapping[str, str | int]) -> None:
         ctx = model.ctx
         self._renderer = Renderer(ctx, shader_defines=defines)
-        program = capture_program(ctx, {**defines, **model.shader_defines, **model.lods[0].owner_defines})
+        program = capture_program(ctx, {**defines, **model.shader_defines, **model.lods[0].uv_defines})
         self._renderer._passes.adopt(program, "depth", True, model)
         self._storage = ctx.buffer(reserve=16 + POINT_BYTES * MAX_POINTS)
 

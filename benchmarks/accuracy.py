@@ -26,7 +26,7 @@ from preprocess.gltf import Character, load_character
 from preprocess.mesh import Floats
 from preprocess.texels import sample_bilinear
 from runtime.asset import Asset, load
-from runtime.gpu_levels import index_bytes, normal_bytes, owner_steps, vertex_bytes
+from runtime.gpu_levels import index_bytes, normal_bytes, vertex_attributes, vertex_bytes
 from runtime.gpu_textures import prepare
 from runtime.pose import rest_pose, sample, skinning_rows
 
@@ -96,7 +96,8 @@ def measure_memory(asset: Asset) -> dict[str, Any]:
     """Bytes by part, and the classic chain's."""
     prepared = prepare(asset)
     indices = sum(len(index_bytes(mesh, mesh.triangles)) for mesh in asset.lods)
-    levels = indices + sum(len(vertex_bytes(mesh, owner_steps(mesh))) for mesh in asset.lods)
+    attributes = vertex_attributes(asset.lods)
+    levels = indices + sum(len(vertex_bytes(mesh, attributes)) for mesh in asset.lods)
     levels += sum(len(normal_bytes(mesh.normal_uvs)) for mesh in asset.lods if mesh.normal_uvs is not None)
     ours = prepared.position_texels.nbytes + prepared.weight_cells.nbytes + levels
     row: dict[str, Any] = {

@@ -15,6 +15,7 @@ from preprocess.decimate import Chain, DecimateOptions, decimate
 from preprocess.folder import MANIFEST, whole_folder
 from preprocess.geometry.bake import bake_surface_positions
 from preprocess.geometry.levels import fit_levels
+from preprocess.geometry.uv_steps import snap_levels, snap_mesh
 from preprocess.gltf import Character, load_character
 from preprocess.mesh import Floats, Ints
 from preprocess.progress import Progress
@@ -76,15 +77,17 @@ def build(model: Path, destination: Path, settings: Settings, progress: Progress
             )
         with progress.stage("atlas") as stage:
             atlas = _build_atlas(character, settings)
+            stored = dataclasses.replace(atlas, mesh=snap_mesh(atlas.mesh))
             stage.delta = f"{atlas.mode}, {atlas.num_charts} charts, floor {atlas.floor_faces} faces"
         poses = sample_poses(character)
         with progress.stage("textures") as stage:
-            baking = TextureStage(character, atlas, poses, settings)
+            baking = TextureStage(character, stored, poses, settings)
             textures = baking.build()
             stage.delta = ", ".join(f"{t.name} {t.size[0]}×{t.size[1]}" for t in textures)
         with progress.stage("levels") as stage:
             chain = _build_lods(character, atlas, textures, poses, settings)
-            textures, lods = fit_levels(atlas.mesh, textures, chain.lods, poses)
+            lods = chain.lods if stored.mesh is atlas.mesh else snap_levels(chain.lods)
+            textures, lods = fit_levels(stored.mesh, textures, lods, poses)
             chain = dataclasses.replace(chain, lods=lods)
             normal_uvs = baking.level_normal_uvs(chain.lods)
             stage.delta = " → ".join(str(lod.num_faces) for lod in chain.lods)
@@ -97,11 +100,11 @@ def build(model: Path, destination: Path, settings: Settings, progress: Progress
         )
         with progress.stage("write"):
             rows = write_folder(
-                folder, character, atlas, textures, chain, settings, warnings, progress.seconds, normal_uvs
+                folder, character, stored, textures, chain, settings, warnings, progress.seconds, normal_uvs
             )
             if settings.report:
                 manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-                write_report(folder / "report.html", manifest, atlas.mesh.surface, baking.draw_decisions())
+                write_report(folder / "report.html", manifest, stored.mesh.surface, baking.draw_decisions())
     return BuildResult(rows, warnings, dict(progress.seconds))
 
 

@@ -6,7 +6,7 @@ lies in a buffer of its own, for the normal. What an actor adds comes as one rec
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,8 +20,12 @@ from runtime.patch_faults import divided_patches, patch_tolerance_m
 from runtime.patches import seam_edges
 
 INSTANCE = np.dtype([("rows", "<f4", (3, 4)), ("tint", "<f4", 4), ("numbers", "<i4", 2)])
-VERTEX_ATTRIBUTES = (("2f4", "in_uv"), ("2u2", "in_owner_steps"))
-PLAIN_ATTRIBUTES = (("2f4", "in_uv"), ("2f4", "in_owner_uv"))  # where 16 bits cannot say the owners' uvs
+# Of a vertex: its own uv, then its owner's; as 16-bit steps where these say exactly what all levels have.
+UV_ATTRIBUTES = {
+    "uvs": {True: ("2u2", "in_uv_steps"), False: ("2f4", "in_uv")},
+    "owner_uvs": {True: ("2u2", "in_owner_steps"), False: ("2f4", "in_owner_uv")},
+}
+ATTRIBUTE_DEFINES = {"in_uv_steps": "UV_STEPS", "in_owner_steps": "OWNER_STEPS"}
 NORMAL_ATTRIBUTES = (("2u2", "in_normal_uv"),)
 UV_STEPS = 65535  # uvs in 16 bits count them; moderngl knows no normalised attributes of 16 bits
 INSTANCE_ATTRIBUTES = (
@@ -54,10 +58,10 @@ class GpuLod:
         Of triangles, three each.
     index_size : int
         Bytes an index, 2 or 4.
+    attributes : tuple of (format, name)
+        What lies in `vertices`, from `vertex_attributes`.
     normal_uvs : Buffer or None
         `normal_bytes`, where the level has normal uvs.
-    attributes : tuple of (format, name)
-        What lies in `vertices`.
     """
 
     mesh: LodMesh
@@ -65,18 +69,18 @@ class GpuLod:
     vertices: moderngl.Buffer
     indices: moderngl.Buffer
     index_size: int
+    attributes: tuple[tuple[str, str], ...]
     normal_uvs: moderngl.Buffer | None = None
-    attributes: tuple[tuple[str, str], ...] = PLAIN_ATTRIBUTES
 
     @property
     def shader_defines(self) -> dict[str, int]:
         """Preprocessor definitions that programs for this level need, beside the model's."""
-        return self.owner_defines if self.normal_uvs is None else {**self.owner_defines, "NORMAL_UV": 1}
+        return self.uv_defines if self.normal_uvs is None else {**self.uv_defines, "NORMAL_UV": 1}
 
     @property
-    def owner_defines(self) -> dict[str, int]:
-        """Those of them that say how owner uvs come; the same for all levels of a model."""
-        return {"OWNER_STEPS": 1} if self.attributes is VERTEX_ATTRIBUTES else {}
+    def uv_defines(self) -> dict[str, int]:
+        """Those of them that say how uvs come; the same for all levels of a model."""
+        return {ATTRIBUTE_DEFINES[name]: 1 for _, name in self.attributes if name in ATTRIBUTE_DEFINES}
 
     @property
     def nbytes(self) -> int:
@@ -98,21 +102,32 @@ def draw_groups(mesh: LodMesh, materials: tuple[MaterialData, ...]) -> tuple[Dra
     return tuple(groups)
 
 
-def owner_steps(mesh: LodMesh) -> NDArray[np.uint16] | None:
-    """Owner uvs in 16 bits, (N, 2); None where these cannot say them exactly."""
-    steps = np.rint(np.clip(mesh.owner_uvs.astype(np.float64), 0.0, 1.0) * UV_STEPS).astype(np.uint16)
-    return steps if np.array_equal((steps / UV_STEPS).astype(np.float32), mesh.owner_uvs) else None
+def uv_steps(uvs: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """The 16-bit steps nearest to uvs, (N, 2)."""
+    return np.rint(np.clip(uvs.astype(np.float64), 0.0, 1.0) * UV_STEPS).astype(np.uint16)
 
 
-def vertex_bytes(mesh: LodMesh, steps: NDArray[np.uint16] | None) -> bytes:
-    """A level's vertices: uv and owner uv, twelve bytes each, or sixteen where owners have no 16-bit steps."""
-    parts = (mesh.uvs, mesh.owner_uvs if steps is None else steps)
+def vertex_attributes(meshes: Sequence[LodMesh]) -> tuple[tuple[str, str], ...]:
+    """What a vertex of these levels is, (format, name) each: uvs in steps where all levels' are whole ones."""
+
+    def whole(uvs: NDArray[np.float32]) -> bool:
+        return np.array_equal((uv_steps(uvs) / UV_STEPS).astype(np.float32), uvs)
+
+    return tuple(forms[all(whole(getattr(mesh, part)) for mesh in meshes)] for part, forms in UV_ATTRIBUTES.items())
+
+
+def vertex_bytes(mesh: LodMesh, attributes: tuple[tuple[str, str], ...]) -> bytes:
+    """A level's vertices: uv and owner uv, four bytes each in steps and eight in floats."""
+    parts = [
+        uv_steps(uvs) if name in ATTRIBUTE_DEFINES else uvs
+        for uvs, (_, name) in zip((mesh.uvs, mesh.owner_uvs), attributes, strict=True)
+    ]
     return np.concatenate([np.ascontiguousarray(part).view(np.uint8) for part in parts], axis=1).tobytes()
 
 
 def normal_bytes(normal_uvs: NDArray[np.float32]) -> bytes:
     """Normal uvs as whole steps, two uint16 a vertex."""
-    return np.rint(np.clip(normal_uvs, 0.0, 1.0) * UV_STEPS).astype("<u2").tobytes()
+    return uv_steps(normal_uvs).tobytes()
 
 
 def index_bytes(mesh: LodMesh, indices: NDArray[np.uint32]) -> bytes:
@@ -133,7 +148,7 @@ class Levels:
         self.ctx, self.asset = ctx, asset
         self.lods: tuple[GpuLod, ...] = ()
         self.errors_m = self.divided_errors_m = np.zeros(0)  # as they are, and at most when tessellated
-        self._in_steps = all(owner_steps(mesh) is not None for mesh in asset.lods)
+        self._attributes = vertex_attributes(asset.lods)
         self._owned: list[moderngl.Buffer] = []
         self._line_buffers: dict[int, moderngl.Buffer] = {}
         self._edge_texels: dict[int, float] = {}
@@ -147,15 +162,14 @@ class Levels:
 
     def upload(self, mesh: LodMesh) -> None:
         """Add the next level."""
-        steps = owner_steps(mesh) if self._in_steps else None
         lod = GpuLod(
             mesh=mesh,
             groups=draw_groups(mesh, self.asset.materials),
-            vertices=self._keep(vertex_bytes(mesh, steps)),
+            vertices=self._keep(vertex_bytes(mesh, self._attributes)),
             indices=self._keep(index_bytes(mesh, mesh.triangles)),
             index_size=2 if len(mesh.uvs) <= 0xFFFF else 4,
             normal_uvs=None if mesh.normal_uvs is None else self._keep(normal_bytes(mesh.normal_uvs)),
-            attributes=PLAIN_ATTRIBUTES if steps is None else VERTEX_ATTRIBUTES,
+            attributes=self._attributes,
         )
         self.lods = (*self.lods, lod)
         self.errors_m = np.array([lod.mesh.error_m for lod in self.lods])

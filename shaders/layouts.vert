@@ -5,9 +5,9 @@
 #include "include/frame.glsl"
 #include "include/instance.glsl"
 #include "include/skinning.glsl"
+#include "include/own.glsl"
 #include "include/owner.glsl"
 
-in vec2 in_uv;
 
 out vec2 surface_uv;
 out vec3 surface_position;
@@ -62,7 +62,7 @@ void main() {
     mat3x4 world = mat3x4(in_world_row0, in_world_row1, in_world_row2);
     vec3 position = transform_point(world, transform_point(pose, rest));
     gl_Position = clip_from_world * vec4(position, 1.0);
-    surface_uv = in_uv;
+    surface_uv = own_uv();
     surface_position = position;
     surface_normal_matrix = normal_matrix(world) * normal_matrix(pose);
     surface_rest = rest;

@@ -1,8 +1,8 @@
 // A control point of a patch: nothing is computed yet, only passed on.
 #include "include/instance.glsl"
+#include "include/own.glsl"
 #include "include/owner.glsl"
 
-in vec2 in_uv;
 #ifdef NORMAL_UV
 in uvec2 in_normal_uv;  // 65535ths
 #endif
@@ -19,7 +19,7 @@ out vec4 point_tint;
 flat out ivec2 point_numbers;
 
 void main() {
-    point_uv = in_uv;
+    point_uv = own_uv();
     point_owner_uv = owner_uv();
 #ifdef NORMAL_UV
     point_normal_uv = vec2(in_normal_uv) / 65535.0;

@@ -6,20 +6,20 @@
 #include "include/instance.glsl"
 #include "include/skinning.glsl"
 #include "include/point_out.glsl"
+#include "include/own.glsl"
 #include "include/owner.glsl"
 
-in vec2 in_uv;
 #ifdef NORMAL_UV
 in uvec2 in_normal_uv;  // 65535ths
 #endif
 
 void main() {
 #ifdef WITHOUT_OWNERS
-    vec2 geometry_uv = in_uv;
+    vec2 geometry_uv = own_uv();
 #else
     vec2 geometry_uv = owner_uv();
 #endif
-    emit_point(in_uv, geometry_uv, mat3x4(in_world_row0, in_world_row1, in_world_row2), in_tint, in_numbers);
+    emit_point(own_uv(), geometry_uv, mat3x4(in_world_row0, in_world_row1, in_world_row2), in_tint, in_numbers);
 #ifdef NORMAL_UV
     surface_normal_uv = vec2(in_normal_uv) / 65535.0;
 #endif

@@ -26,7 +26,7 @@ VARIANTS: dict[str, list[dict[str, str | int]]] = {
     "layouts.vert": [{"LAYOUT_LISTS": 1, "LISTS": 2}, {"LAYOUT_DENSE": 1, "LAYERS": 14}],
     "crowd.vert": [{}, {"EIGHT_JOINTS": 1}, {"PLACED": 1}, {"SHOW_WEIGHTS": 1}],
 }
-NORMALS, STEPS, WIDE = {"NORMAL_UV": 1}, {"OWNER_STEPS": 1}, {"WIDE_JOINTS": 1}
+NORMALS, STEPS, WIDE = {"NORMAL_UV": 1}, {"UV_STEPS": 1, "OWNER_STEPS": 1}, {"WIDE_JOINTS": 1}
 LACKS = [{"NO_CUTOUT": 1}, {"NO_CUTOUT": 1, "NO_EMISSION": 1}, {"NO_CUTOUT": 1, "NO_EMISSION": 1, "NO_ORM": 1}]
 STAGE_FILES = sorted(path.name for path in SHADERS.iterdir() if path.suffix[1:] in SHADER_STAGES)
 

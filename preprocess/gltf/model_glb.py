@@ -173,12 +173,12 @@ def _describe_clip(clip: Clip, buffer: _Buffer) -> dict[str, Any] | None:
     return {"name": clip.name, "samplers": samplers, "channels": channels} if channels else None
 
 
-def _owner_accessor(owner_uvs: NDArray[np.float32], buffer: _Buffer) -> int:
-    """Owner uvs as 16-bit numbers where these say them exactly."""
-    steps = np.rint(np.clip(owner_uvs.astype(np.float64), 0.0, 1.0) * OWNER_STEPS).astype(np.uint16)
-    if np.array_equal((steps / OWNER_STEPS).astype(np.float32), owner_uvs):
+def _uv_accessor(uvs: NDArray[np.float32], buffer: _Buffer) -> int:
+    """Uvs as 16-bit numbers where these say them exactly."""
+    steps = np.rint(np.clip(uvs.astype(np.float64), 0.0, 1.0) * OWNER_STEPS).astype(np.uint16)
+    if np.array_equal((steps / OWNER_STEPS).astype(np.float32), uvs):
         return buffer.accessor(steps, ARRAY_BUFFER, normalized=True)
-    return buffer.accessor(owner_uvs, ARRAY_BUFFER)
+    return buffer.accessor(uvs, ARRAY_BUFFER)
 
 
 def _describe_mesh(
@@ -188,8 +188,8 @@ def _describe_mesh(
     attributes = {
         "POSITION": buffer.accessor(level.positions, ARRAY_BUFFER, bounds=True),
         "NORMAL": buffer.accessor(level.normals, ARRAY_BUFFER),
-        "TEXCOORD_0": buffer.accessor(level.uvs, ARRAY_BUFFER),
-        "_OWNER_UV": _owner_accessor(level.owner_uvs, buffer),
+        "TEXCOORD_0": _uv_accessor(level.uvs, buffer),
+        "_OWNER_UV": _uv_accessor(level.owner_uvs, buffer),
     }
     if level.normal_uvs is not None:
         attributes["TEXCOORD_1"] = buffer.accessor(level.normal_uvs, ARRAY_BUFFER, normalized=True)
