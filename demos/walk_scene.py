@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import runtime
-from demos.gait import pace
+from demos.gait import model_skin, pace
 from demos.surroundings import EVENING, Surroundings, write_uniforms
 from runtime.programs import build_program
 
@@ -104,7 +104,8 @@ class WalkScene:
         self.idle = find_clip(names, "idle", "survey", "stand", "breath")
         self.pace_m_s, self.walk_speed = 0.75 * self.unit_m, 1.0
         if self.walk is not None:
-            found = pace(self.model.asset.skeleton, clips[names.index(self.walk)], self.unit_m)
+            skin = model_skin(self.ctx, self.model)
+            found = pace(self.model.asset.skeleton, clips[names.index(self.walk)], self.unit_m, skin)
             if abs(found) > 0.02 * self.unit_m:
                 faster = max(1.0, min(LEAST_PACE * self.unit_m / abs(found), 2.0))
                 self.pace_m_s, self.walk_speed = abs(found) * faster, float(np.sign(found)) * faster
