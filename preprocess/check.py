@@ -1,7 +1,7 @@
 """`python -m preprocess check DIR`: measure a built character again, from its files alone.
 
-Nothing is taken from the manifest but names and what it claims: seams are found on the stored meshes, jumps are
-measured on the stored texels, and each claim that does not hold is named.
+Nothing is taken from the manifest but names and what it claims: files are hashed, seams are found on the stored
+meshes, jumps are measured on the stored texels, and each claim that does not hold is named.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from preprocess.mesh import Floats, TexturedSurface
 from preprocess.seams import Seams, find_seams
 from preprocess.texels import sample_bilinear
 from preprocess.textures.creases import NormalUvs, bake_surface, move_seams
+from preprocess.write import hash_file
 from runtime.asset import Asset, load
 from runtime.errors import AssetError
 from runtime.lods import LodMesh
@@ -54,16 +55,20 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(str(error)) from None
     _require_claims(asset)
     failures = []
-    for label, text, holds in measure_asset(asset):
+    for label, text, holds in (*compare_files(asset), *measure_asset(asset)):
         print(f"{label:<24}{text}{'' if holds else '   DIFFERS'}")
         if not holds:
             failures.append(label)
     if failures:
         raise InputError(
-            f"{arguments.folder}: {len(failures)} measures differ from the manifest (the first: {failures[0]}): "
+            f"{arguments.folder}: {_counted(failures)} from the manifest (the first: {failures[0]}): "
             "build the character again"
         )
     return 0
+
+
+def _counted(failures: list[str]) -> str:
+    return "1 thing differs" if len(failures) == 1 else f"{len(failures)} things differ"
 
 
 def _require_claims(asset: Asset) -> None:
@@ -81,6 +86,26 @@ def _require_claims(asset: Asset) -> None:
             missing.append(f"textures.{name}.seam.stored")
     if missing:
         raise InputError(f"{asset.path / MANIFEST} lacks {missing[0]}: nothing to check against; build it again")
+
+
+def compare_files(asset: Asset) -> Iterator[tuple[str, str, bool]]:
+    """Label, words and False for every file that is not as the build left it; one line where all are."""
+    recorded = asset.manifest.json.get("files")
+    if not isinstance(recorded, dict) or not recorded:
+        yield "files", "not recorded by the build", True
+        return
+    changed = 0
+    for name, digest in recorded.items():
+        path = asset.path / name
+        if not path.is_file():
+            yield name, "missing", False
+        elif hash_file(path) != digest:
+            yield name, "changed since the build", False
+        else:
+            continue
+        changed += 1
+    if not changed:
+        yield "files", f"{len(recorded)}, as the build left them", True
 
 
 def measure_asset(asset: Asset) -> Iterator[tuple[str, str, bool]]:

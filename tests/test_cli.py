@@ -156,7 +156,34 @@ def test_check_refuses_a_changed_folder(built: Callable[[str], Path], tmp_path: 
     image = read_image(folder / "base_color.png")
     noise = np.random.default_rng(1).uniform(-0.2, 0.2, image.texels.shape)
     write_image(folder / "base_color.png", Image(np.clip(image.texels + noise, 0, 1), "uint8"))
+    refused(preprocess("check", folder), "differ from the manifest", "base_color.png")
+    manifest = json.loads((folder / "manifest.json").read_text())
+    del manifest["files"]  # the measures alone tell too
+    (folder / "manifest.json").write_text(json.dumps(manifest))
     refused(preprocess("check", folder), "differ from the manifest", "base_color level 0")
+
+
+def test_check_notices_a_changed_byte(tmp_path: Path) -> None:
+    from types import SimpleNamespace
+    from typing import cast
+
+    from preprocess.check import compare_files
+    from preprocess.write import hash_file
+    from runtime.asset import Asset
+
+    (tmp_path / "mips").mkdir()
+    names = ["a.png", "mips/a.1.png"]
+    for name in names:
+        (tmp_path / name).write_bytes(b"texels")
+    files = {name: hash_file(tmp_path / name) for name in names}
+    asset = cast(Asset, SimpleNamespace(path=tmp_path, manifest=SimpleNamespace(json={"files": files})))
+    assert [holds for *_, holds in compare_files(asset)] == [True]
+    (tmp_path / "a.png").write_bytes(b"texelt")
+    assert list(compare_files(asset)) == [("a.png", "changed since the build", False)]
+    (tmp_path / "mips/a.1.png").unlink()
+    assert list(compare_files(asset))[1] == ("mips/a.1.png", "missing", False)
+    asset.manifest.json.pop("files")  # folders of before
+    assert [holds for *_, holds in compare_files(asset)] == [True]
 
 
 def test_check_refuses_a_manifest_without_claims(tmp_path: Path) -> None:
