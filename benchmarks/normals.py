@@ -1,10 +1,21 @@
-"""Normals: the built texture against the source, at random points of the full mesh (equal chance for equal area).
+"""Normals: built characters against their sources, at random points of the full mesh (equal chance for equal area).
 
-The source's normal is its corner normals, interpolated; the texture is read at the finest level's normal uvs. Two
-numbers: all points, and those further than a texel and a half from every edge of their face. Characters with normal
-maps are left out, since these are in the texture too.
+The source's normal is the one glTF says to shade with: corner normals interpolated, with the file's tangent-space
+normal map in them, tangents from the file or by MikkTSpace (`_source_normals.py`, which shares nothing with the
+pipeline but the loaded file). Beside it, what the runtime's fragment shader has there: the finest level's normal uvs
+interpolated over its triangle, the texture's full-size level sampled, and the joints' blend at the owner uvs applied.
 
-Options: --models FILE ... (characters to build the texture of), --points N.
+Posed, in moments of all clips, a vertex of the source and its normal move by the linear blend of its joints and by that
+blend's cofactors: `corners` are the full mesh's corners, all counting alike. Inside a face there are two ways: move the
+point by the blend of its own weights (`by points`), or move normals at the vertices and interpolate, as viewers do (`by
+vertices`). Where a large face bends much these are degrees apart (`ways apart`), whoever draws it.
+
+`edges` are points within a texel and a half of an edge of their face; `thin` those of faces that the atlas gives less
+than a texel's height; `divided` those whose triangle the finest level has divided. `worst clip` is the clip with the
+largest RMS. All angles are degrees, all shares of points.
+
+Options: --built DIR ... (built characters), --sources DIR (where the files they were built from are), --points N,
+--moments N (of each clip).
 """
 
 from __future__ import annotations
@@ -14,76 +25,170 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from benchmarks._drawn_points import DrawnPoints, find_drawn_points
+from benchmarks._source_normals import SourceNormals, cofactors, unit
 from benchmarks._table import print_table
-from preprocess.gltf import load_character
-from preprocess.pipeline import _build_atlas, sample_poses
-from preprocess.settings import Settings
+from benchmarks.accuracy import BUILT, SOURCES
+from preprocess.geometry.weight_details import sample_weights
+from preprocess.geometry.weights import unpack_weights
+from preprocess.gltf import Character, load_character
+from preprocess.mesh import Floats
 from preprocess.texels import sample_bilinear
-from preprocess.textures.stage import TextureStage
+from runtime.asset import Asset, load
+from runtime.pose import sample, skinning_rows
 
-ASSETS = Path("../shared/assets")
-MODELS = tuple(ASSETS / f"{name}.glb" for name in ("Fox", "Knight", "robot", "mannequiny"))
-INSIDE_PX = 1.5
-
-
-def edge_distance_px(corners_px: NDArray[np.floating], shares: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Distance of points to the nearest edge of their uv triangle: (N, 3, 2) pixels and (N, 3) to (N,)."""
-    opposite = np.roll(corners_px, -1, axis=1) - np.roll(corners_px, -2, axis=1)
-    first, second = corners_px[:, 1] - corners_px[:, 0], corners_px[:, 2] - corners_px[:, 0]
-    doubled = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
-    heights = doubled[:, None] / np.maximum(np.linalg.norm(opposite, axis=2), 1e-12)
-    return np.asarray((heights * shares).min(axis=1), np.float64)
+EDGE_PX = 1.5
 
 
-def measure(model: Path, num_points: int) -> dict[str, Any] | None:
-    """Angles between texture and source; None for a character with normal maps."""
-    character = load_character(model)
-    if any(material.normal is not None for material in character.materials):
-        return None
-    settings = Settings()
-    atlas = _build_atlas(character, settings)
-    stage = TextureStage(character, atlas, sample_poses(character), settings)
-    stored = stage.normal()
-    stored_texels = stored.levels[0][:, :, :3]
-    full = np.iinfo(stored_texels.dtype).max if stored_texels.dtype.kind == "u" else 1.0
-    texels = stored_texels.astype(np.float64) / full * 2 - 1
-    mesh, surface = atlas.mesh, atlas.mesh.surface
+def pick_points(character: Character, count: int) -> tuple[np.ndarray, Floats]:
+    """Faces (N,) and barycentric coordinates (N, 3), even over the surface."""
+    surface = character.mesh.surface
     corners = surface.positions[surface.faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     rng = np.random.default_rng(0)
-    face = rng.choice(len(area), num_points, p=area / area.sum())
-    shares = rng.dirichlet((1, 1, 1), num_points)
-    corner_uvs = surface.uvs[surface.face_uvs[face]]
-    wanted = np.einsum("ni,nij->nj", shares, mesh.corner_normals[face])
-    read_uvs = corner_uvs if stage.normal_uvs is None else stage.normal_uvs.corners[face]
-    found = sample_bilinear(texels, np.einsum("ni,nij->nj", shares, read_uvs))
-    cosine = (wanted * found).sum(axis=1) / np.maximum(
-        np.linalg.norm(wanted, axis=1) * np.linalg.norm(found, axis=1), 1e-12
-    )
-    angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-    inside = edge_distance_px(corner_uvs * texels.shape[1::-1], shares) > INSIDE_PX
+    return rng.choice(len(area), count, p=area / area.sum()), rng.dirichlet((1, 1, 1), count)
+
+
+class DrawnNormals:
+    """Normals that the runtime shades with, at N points of the finest level."""
+
+    def __init__(self, asset: Asset, points: DrawnPoints) -> None:
+        level = asset.lods[0]
+        self._points = points
+        uvs = level.uvs if level.normal_uvs is None else level.normal_uvs
+        self.corners = uvs.astype(np.float64)[points.triangles]
+        texels = asset.textures["normal"].levels[0][:, :, :3]
+        full = np.iinfo(texels.dtype).max if texels.dtype.kind == "u" else 1.0
+        self.size = texels.shape[1::-1]
+        decoded = texels.astype(np.float64) / full * 2.0 - 1.0
+        self.at_rest = sample_bilinear(decoded, np.einsum("nk,nkc->nc", points.shares, self.corners))
+        places, self._point = np.unique(level.owner_uvs, axis=0, return_inverse=True)
+        stored = unpack_weights(asset.textures["weights"].levels[0], asset.weight_size, asset.num_joints)
+        self._weights = sample_weights(stored, asset.weight_details, places.astype(np.float64))
+
+    def at(self, rows: Floats | None = None) -> Floats:
+        """Unit normals (N, 3), at rest or under joint matrices (J, 3, 4)."""
+        if rows is None:
+            return unit(self.at_rest)
+        skin = (self._weights @ rows.reshape(len(rows), 12)).reshape(-1, 3, 4)
+        turns = cofactors(skin[:, :, :3])[self._point.ravel()][self._points.triangles]
+        return unit(np.einsum("nk,nkij,nj->ni", self._points.shares, turns, self.at_rest))
+
+    def heights_px(self) -> Floats:
+        """Heights of each point's triangle over its three edges, texels, (N, 3)."""
+        corners = self.corners * self.size
+        opposite = np.roll(corners, -1, axis=1) - np.roll(corners, -2, axis=1)
+        first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        doubled = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+        return np.asarray(doubled[:, None] / np.maximum(np.linalg.norm(opposite, axis=2), 1e-12))
+
+
+def angles_deg(a: Floats, b: Floats) -> Floats:
+    """Angles between unit vectors (N, 3), degrees."""
+    return np.degrees(2.0 * np.arcsin(np.clip(np.linalg.norm(a - b, axis=1) / 2.0, 0.0, 1.0)))
+
+
+def rms(values: Floats) -> float:
+    """Root mean square; NaN of nothing."""
+    return float(np.sqrt((values**2).mean())) if len(values) else float("nan")
+
+
+class Comparison:
+    """Points of a source beside the same points as they are drawn."""
+
+    def __init__(self, asset: Asset, character: Character, faces: np.ndarray, shares: Floats) -> None:
+        self.points = find_drawn_points(asset, character.mesh, faces, shares)
+        self.source = SourceNormals(character, faces, shares)
+        self.drawn = DrawnNormals(asset, self.points)
+
+    def at_rest(self) -> Floats:
+        """Angles, (N,)."""
+        return angles_deg(self.source.at_rest(), self.drawn.at())
+
+
+def measure_rest(asset: Asset, points: Comparison) -> dict[str, Any]:
+    """Angles at random points, at rest."""
+    angle, heights = points.at_rest(), points.drawn.heights_px()
+    edges, thin = (heights * points.points.shares).min(axis=1) <= EDGE_PX, heights.min(axis=1) < 1.0
     return {
-        "character": character.name,
-        "texture": f"{texels.shape[1]}²",
-        "rms deg": float(np.sqrt((angle**2).mean())),
-        "median deg": float(np.median(angle)),
-        "inside faces": float(inside.mean()),
-        "rms deg inside": float(np.sqrt((angle[inside] ** 2).mean())) if inside.any() else float("nan"),
-        "max deg inside": float(angle[inside].max()) if inside.any() else float("nan"),
+        "character": asset.name,
+        "texture": f"{points.drawn.size[0]}²",
+        "points rms": rms(angle),
+        "median": float(np.median(angle)),
+        "99 %": float(np.percentile(angle, 99)),
+        "edges": float(edges.mean()),
+        "rms edges": rms(angle[edges]),
+        "rms inside": rms(angle[~edges]),
+        "max inside": float(angle[~edges].max(initial=0.0)),
+        "thin": float(thin.mean()),
+        "rms thin": rms(angle[thin]),
+        "divided": float(1 - points.points.own.mean()),
     }
 
 
+def measure_clips(
+    asset: Asset, character: Character, points: Comparison, corners: Comparison, moments: int
+) -> dict[str, Any]:
+    """Angles in moments of all clips: at corners, and at random points by both ways to pose the source."""
+    dense = character.mesh.dense_weights(asset.num_joints)
+    clips: dict[str, list[float]] = {}
+    others: dict[str, list[float]] = {"by points": [], "by vertices": [], "ways apart": []}
+    for clip in asset.clips:
+        for rows in skinning_rows(
+            asset.skeleton, sample(clip, asset.skeleton, np.linspace(0, clip.duration_s, moments))
+        ):
+            skin = (dense @ rows.reshape(len(rows), 12)).reshape(-1, 3, 4)
+            at_corners = angles_deg(corners.source.skinned_vertices(skin), corners.drawn.at(rows))
+            clips.setdefault(clip.name, []).append(rms(at_corners))
+            ways, drawn = (
+                (points.source.skinned_points(skin), points.source.skinned_vertices(skin)),
+                points.drawn.at(rows),
+            )
+            pairs = ((ways[0], drawn), (ways[1], drawn), ways)
+            for name, pair in zip(others, pairs, strict=True):
+                others[name].append(rms(angles_deg(*pair)))
+    worst = {name: rms(np.array(values)) for name, values in clips.items()}
+    name = max(worst, key=lambda name: worst[name], default="")
+    return {
+        "character": asset.name,
+        "corners rms, rest": rms(corners.at_rest()),
+        "clips": rms(np.concatenate([np.array(values) for values in clips.values()] or [np.zeros(0)])),
+        "worst clip": worst.get(name, float("nan")),
+        "": name,
+        **{name: rms(np.array(values)) for name, values in others.items()},
+    }
+
+
+def measure(asset: Asset, character: Character, num_points: int, moments: int) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A row at rest and one of clips."""
+    num_faces = character.mesh.num_faces
+    points = Comparison(asset, character, *pick_points(character, num_points))
+    corners = Comparison(asset, character, np.repeat(np.arange(num_faces), 3), np.tile(np.eye(3), (num_faces, 1)))
+    return measure_rest(asset, points), measure_clips(asset, character, points, corners, moments)
+
+
 def run(argv: list[str]) -> list[dict[str, Any]]:
-    """Measure and print."""
+    """Measure and print; one row a character."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks normals", allow_abbrev=False)
-    parser.add_argument("--models", type=Path, nargs="+", default=MODELS)
+    parser.add_argument("--built", type=Path, nargs="*", help=f"built characters (all in {BUILT})")
+    parser.add_argument("--sources", type=Path, default=SOURCES)
     parser.add_argument("--points", type=int, default=40_000)
+    parser.add_argument("--moments", type=int, default=3)
     options, _ = parser.parse_known_args(argv)
-    for missing in [model for model in options.models if not model.is_file()]:
-        print(f"no such file: {missing}")
-    rows = [measure(model, options.points) for model in options.models if model.is_file()]
-    measured = [row for row in rows if row is not None]
-    print_table(measured)
-    return measured
+    at_rest: list[dict[str, Any]] = []
+    posed: list[dict[str, Any]] = []
+    for folder in options.built or sorted(BUILT.glob("*.seamless")):
+        asset = load(folder)
+        source = options.sources / asset.manifest.json["source"]["file"]
+        if not source.is_file():
+            print(f"no {source}: give --sources")
+            continue
+        for table, row in zip(
+            (at_rest, posed), measure(asset, load_character(source), options.points, options.moments), strict=True
+        ):
+            table.append(row)
+    print_table(at_rest)
+    print()
+    print_table(posed)
+    return [*at_rest, *posed]

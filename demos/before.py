@@ -20,13 +20,12 @@ from preprocess.errors import InputError
 from preprocess.geometry.bake import bake_positions, bake_weights
 from preprocess.geometry.weights import pack_weights
 from preprocess.gltf import Character, load_character
-from preprocess.gltf.tangents import corner_tangents
 from preprocess.pipeline import GUTTER_PX, GUTTER_SIZE_PX
 from preprocess.raster import cover_atlas
 from preprocess.settings import Settings, floor_faces
 from preprocess.textures.borders import find_color_borders
 from preprocess.textures.creases import bake_surface, find_normal_uvs
-from preprocess.textures.materials import bake_materials, bake_normals
+from preprocess.textures.materials import bake_materials, bake_normals, normal_tangents
 from runtime.asset import Asset, TextureData
 
 
@@ -93,9 +92,7 @@ def without_erasure(asset: Asset, source: Path) -> Asset:
     uvs = find_normal_uvs(mesh, sizes["normal"], borders)
     normal_mesh = mesh if uvs is None else mesh.with_surface(bake_surface(mesh.surface, uvs))
     coverage = cover_atlas(normal_mesh, *sizes["normal"])
-    texcoord = next((m.normal.texcoord for m in character.materials if m.normal is not None), None)
-    tangents = None if texcoord is None else corner_tangents(mesh, texcoord)
-    normals = bake_normals(character, normal_mesh, tangents, coverage)
+    normals = bake_normals(character, normal_mesh, normal_tangents(character, mesh), coverage)
     baked["normal"] = dataclasses.replace(_box_mips(0.5 * normals + 0.5, 65535, np.uint16), name="normal")
     side = sizes["base_color"][0]
     color_mesh = normal_mesh if asset.colors_moved else mesh

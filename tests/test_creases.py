@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 
 import moderngl
@@ -13,7 +12,6 @@ from builders_creases import NET, PALETTE, cube_net, load_cube, painted_cube, si
 from builders_scene import Scene
 
 import runtime
-from benchmarks.normals import measure
 from preprocess.decimate import DecimateOptions, decimate
 from preprocess.gltf import load_character
 from preprocess.mesh import SkinnedMesh, TexturedSurface
@@ -299,13 +297,6 @@ def test_level_edges_are_hard_only_from_end_to_end() -> None:
     assert not find_hard_edges(surface, twins, half, (64, 64)).any()
     beside = lines + np.array([0.6, 0.0])
     assert not find_hard_edges(surface, twins, beside, (64, 64)).any()
-
-
-@pytest.mark.parametrize("name", ["Fox.glb", "robot.glb"])
-def test_normals_of_real_characters_are_within_a_degree(name: str, asset_path: Callable[[str], Path]) -> None:
-    measured = measure(asset_path(name), 20_000)
-    assert measured is not None
-    assert measured["rms deg"] < 1.0 and measured["rms deg inside"] < 0.1
 
 
 # Colours

@@ -127,6 +127,7 @@ def erase_mips(
     smallest: int = 1,
     most_change: float | None = None,
     plans: dict[tuple[int, int], Eraser] | None = None,
+    samples: tuple[Floats, Floats] | None = None,
 ) -> tuple[Level, ...]:
     """Erase a texture and build its mip chain.
 
@@ -148,6 +149,8 @@ def erase_mips(
     plans : dict, optional
         Erasers by (width, height) for the same surface, seams and options but for the jump limit: used where there is
         one, and filled, so that several textures share them.
+    samples : uvs (N, 2) and values (N, C), optional
+        Values that the full size should have at points. Coarser levels are averages of it, as ever.
 
     Returns
     -------
@@ -166,12 +169,14 @@ def erase_mips(
                 row[:, :srgb_channels] = srgb_to_linear(row[:, :srgb_channels])
             current = shrink(light, used, w, h)
             current[:, :, :srgb_channels] = linear_to_srgb(current[:, :, :srgb_channels])
+        known = samples if used is None else None
         if (w, h) not in plans:
-            plans[w, h] = plan_erasure(surface, seams, w, h, options)
+            plans[w, h] = plan_erasure(surface, seams, w, h, options, sample_uvs=None if known is None else known[0])
         plan = plans[w, h]
         limit = options.jump_limit
         bounds = (0.0, 1.0) if levels else None
-        erased = plan.erase(current, bounds=bounds, jump_limit=limit)
+        values = None if known is None else known[1]
+        erased = plan.erase(current, sample_values=values, bounds=bounds, jump_limit=limit)
         if chain and most_change is not None and _change(erased.texels, current, plan.region.inside) > most_change:
             break
         result, stored = _stored(erased.texels, plan, levels)
@@ -182,7 +187,8 @@ def erase_mips(
                 break
             if limit is not None and tighter == 1.0:
                 continue
-            again = plan.erase(current, bounds=bounds, jump_limit=tighter * (limit or JUMP_LIMIT))
+            limited = tighter * (limit or JUMP_LIMIT)
+            again = plan.erase(current, sample_values=values, bounds=bounds, jump_limit=limited)
             rounded, measured = _stored(again.texels, plan, levels)
             if measured.max.max() < stored.max.max():
                 erased, result, stored = again, rounded, measured

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.color import linear_to_srgb, srgb_to_linear
+from preprocess.gltf.tangents import corner_tangents
 from preprocess.mesh import Floats, SkinnedMesh
-from preprocess.raster import Coverage, fill_outside, interpolate_corners
+from preprocess.raster import Coverage, clamp_extrapolation, fill_outside, interpolate_corners
 from preprocess.resample import sample_footprints
 from preprocess.texels import uv_to_px
 
@@ -294,43 +295,87 @@ def _barycentric_gradients(corners_px: Floats) -> Floats:
     return np.stack([wa, wb, -wa - wb], axis=1)
 
 
+def normal_tangents(character: Character, mesh: SkinnedMesh) -> Floats | None:
+    """Tangents of every corner, (F, 3, 4), each face's for the texture coordinates that its own normal map uses.
+
+    None where no face has a normal map.
+    """
+    maps = {int(index): character.materials[index].normal for index in np.unique(mesh.face_materials)}
+    sets = sorted({ref.texcoord for ref in maps.values() if ref is not None})
+    if not sets:
+        return None
+    tangents = corner_tangents(mesh, sets[0])
+    for texcoord in sets[1:]:
+        users = [index for index, ref in maps.items() if ref is not None and ref.texcoord == texcoord]
+        has = np.isin(mesh.face_materials, users)[:, None, None]
+        tangents = np.where(has, corner_tangents(mesh, texcoord), tangents)
+    return tangents
+
+
 def bake_normals(
     character: Character,
     mesh: SkinnedMesh,
-    corner_tangents: NDArray[np.floating] | None,
+    tangents: NDArray[np.floating] | None,
     coverage: Coverage,
 ) -> Floats:
     """Object-space unit normals with the source's tangent-space normal maps in them, (H, W, 3) float64.
 
-    The tangent frame is interpolated and not renormalised before use, bitangent = handedness * cross(n, t), as the
-    glTF specification and MikkTSpace define it.
+    The frame, normal and tangent, is interpolated and not renormalised before use, bitangent = handedness *
+    cross(n, t), as the glTF specification and MikkTSpace define it.
 
     Parameters
     ----------
-    corner_tangents : (F, 3, 4) float or None
-        Needed where a material has a normal texture.
+    tangents : (F, 3, 4) float or None
+        `normal_tangents`.
     """
     near = coverage.faces >= 0
-    normals = _unit(interpolate_corners(coverage, mesh.corner_normals)[near])
-    if corner_tangents is not None:
-        frames = interpolate_corners(coverage, corner_tangents)[near]
-        height, width = coverage.shape
-        faces, barycentrics = coverage.faces[near], coverage.barycentrics[near].astype(np.float64)
-        lookup = _Lookup(mesh, faces, barycentrics, (width, height))
-        for index in np.unique(mesh.face_materials):
-            material = character.materials[index]
-            if material.normal is None:
-                continue
-            rows = np.flatnonzero(mesh.face_materials[lookup.faces] == index)
-            local = lookup.raw(material.normal, rows)[:, :3] * 2.0 - 1.0
-            local[:, :2] *= material.normal_scale
-            n, t = normals[rows], frames[rows, :3]
-            b = np.sign(frames[rows, 3:]) * np.cross(n, t)
-            normals[rows] = _unit(local[:, :1] * t + local[:, 1:2] * b + local[:, 2:] * n)
     height, width = coverage.shape
     texels = np.zeros((height, width, 3))
-    texels[near] = normals
+    texels[near] = normals_at(
+        character, mesh, tangents, coverage.faces[near], coverage.barycentrics[near], (width, height)
+    )
     return fill_outside(texels, near)
+
+
+def normals_at(
+    character: Character,
+    mesh: SkinnedMesh,
+    tangents: NDArray[np.floating] | None,
+    faces: NDArray[np.integer],
+    barycentrics: NDArray[np.floating],
+    size_px: tuple[int, int],
+) -> Floats:
+    """Object-space unit normals at points of the surface, as a texture of a given size would show them, (N, 3) float64.
+
+    Parameters
+    ----------
+    character : Character
+    mesh : SkinnedMesh
+        With the atlas as its uvs.
+    tangents : (F, 3, 4) float or None
+        `normal_tangents`.
+    faces : (N,) int
+    barycentrics : (N, 3) float
+        May lie a little outside.
+    size_px : (width, height)
+    """
+    weights = clamp_extrapolation(barycentrics)
+    normals = np.einsum("nk,nkc->nc", weights, mesh.corner_normals[faces])
+    if tangents is None:
+        return _unit(normals)
+    frames = np.einsum("nk,nkc->nc", weights, tangents[faces])
+    lookup = _Lookup(mesh, faces, np.asarray(barycentrics, np.float64), size_px)
+    for index in np.unique(mesh.face_materials):
+        material = character.materials[index]
+        if material.normal is None:
+            continue
+        rows = np.flatnonzero(mesh.face_materials[faces] == index)
+        local = lookup.raw(material.normal, rows)[:, :3] * 2.0 - 1.0
+        local[:, :2] *= material.normal_scale
+        n, t = normals[rows], frames[rows, :3]
+        b = np.sign(frames[rows, 3:]) * np.cross(n, t)
+        normals[rows] = local[:, :1] * t + local[:, 1:2] * b + local[:, 2:] * n
+    return _unit(normals)
 
 
 def _unit(vectors: Floats) -> Floats:

@@ -1,0 +1,110 @@
+"""Where the runtime draws points of a source's surface: triangles of the finest level, matched by their corners.
+
+A built character knows nothing of its source's vertices any more. Corners are matched by place and weights; a triangle
+of the source whose corners are those of a triangle of the level is that one. The few others, divided to straighten a
+seam, are matched by distance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from benchmarks.accuracy import CANDIDATES, fetched_vertices
+from preprocess.mesh import Floats, SkinnedMesh
+from runtime.asset import Asset
+
+Ints = NDArray[np.integer]
+
+
+@dataclass(frozen=True)
+class DrawnPoints:
+    """Places of N points of the source on a built character's finest level.
+
+    Attributes
+    ----------
+    triangles : (N, 3) int64
+        The level's vertices around each point.
+    shares : (N, 3) float64
+        Barycentric coordinates there.
+    own : (N,) bool
+        Whether the triangle is the source's own; else it is the nearest one.
+    """
+
+    triangles: Ints
+    shares: Floats
+    own: NDArray[np.bool_]
+
+
+def _classes(places: Floats, weights: Floats, mesh: SkinnedMesh, dense: Floats) -> Ints:
+    """Number of the source's place that each drawn vertex stands for, (P,): the nearest, told apart by weights."""
+    source = mesh.surface.positions
+    count = min(CANDIDATES, len(source))
+    distance, nearest = (np.asarray(a).reshape(-1, count) for a in cKDTree(source).query(places, k=count))
+    unlike = np.abs(dense[nearest] - weights[:, None]).max(axis=2)
+    best = (distance / mesh.surface.diagonal_m + 1e-3 * unlike).argmin(axis=1)
+    return np.asarray(np.take_along_axis(nearest, best[:, None], axis=1)[:, 0])
+
+
+def _turned(corners: Ints) -> tuple[Ints, Ints]:
+    """Triangles turned so that the smallest number is first, (F, 3), and by how many corners, (F,)."""
+    turns = corners.argmin(axis=1)
+    return np.take_along_axis(corners, (turns[:, None] + np.arange(3)) % 3, axis=1), turns
+
+
+def _nearest_on_triangles(points: Floats, triangles: Floats) -> tuple[Ints, Floats]:
+    """The nearest of a few triangles (T, 3, 3) to each point (N, 3), and where on it."""
+    edge_b, edge_c = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    offset = points[:, None] - triangles[:, 0]
+    bb, bc, cc = (edge_b**2).sum(1), (edge_b * edge_c).sum(1), (edge_c**2).sum(1)
+    pb, pc = (offset * edge_b).sum(2), (offset * edge_c).sum(2)
+    scale = 1.0 / np.maximum(bb * cc - bc**2, 1e-300)
+    b, c = (cc * pb - bc * pc) * scale, (bb * pc - bc * pb) * scale
+    shares = np.maximum(np.stack([1.0 - b - c, b, c], axis=2), 0.0)
+    shares /= shares.sum(axis=2, keepdims=True)
+    apart = np.linalg.norm(np.einsum("ntk,tki->nti", shares, triangles) - points[:, None], axis=2)
+    best = apart.argmin(axis=1)
+    return best, shares[np.arange(len(points)), best]
+
+
+def find_drawn_points(asset: Asset, mesh: SkinnedMesh, faces: Ints, shares: Floats) -> DrawnPoints:
+    """Find points of the source's surface on the finest level.
+
+    Parameters
+    ----------
+    asset : Asset
+    mesh : SkinnedMesh
+        The source.
+    faces : (N,) int
+        Of the source.
+    shares : (N, 3) float64
+        Barycentric coordinates.
+    """
+    level = asset.lods[0]
+    triangles = level.triangles.astype(np.int64)
+    positions, weights = fetched_vertices(asset)
+    _, point = np.unique(level.owner_uvs, axis=0, return_inverse=True)
+    point = point.ravel()
+    # Source vertices in one place, split to make the mesh manifold, are one place.
+    dense = mesh.dense_weights(asset.num_joints)
+    _, place = np.unique(np.round(mesh.surface.positions / mesh.surface.diagonal_m, 7), axis=0, return_inverse=True)
+    place = place.ravel()
+    of_vertex = place[_classes(positions, weights, mesh, dense)][point]
+    drawn, drawn_turns = _turned(of_vertex[triangles])
+    wanted, wanted_turns = _turned(place[mesh.surface.faces])
+    lookup = {tuple(corners): number for number, corners in reversed(list(enumerate(drawn.tolist())))}
+    match = np.array([lookup.get(tuple(corners), -1) for corners in wanted.tolist()])
+    turn = drawn_turns[match] - wanted_turns
+    found = match[faces]
+    result = np.take_along_axis(shares, (np.arange(3) - turn[faces][:, None]) % 3, axis=1)
+    own = found >= 0
+    left = np.setdiff1d(np.arange(len(triangles)), match)
+    if len(left) and not own.all():
+        corners = mesh.surface.positions[mesh.surface.faces[faces[~own]]]
+        places = np.einsum("nk,nki->ni", shares[~own], corners)
+        best, result[~own] = _nearest_on_triangles(places, positions[point[triangles[left]]])
+        found[~own] = left[best]
+    return DrawnPoints(triangles[found], result, own)
