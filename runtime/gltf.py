@@ -10,9 +10,9 @@ import base64
 import binascii
 import json
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 from urllib.parse import unquote, unquote_to_bytes
 
@@ -181,7 +181,7 @@ class Document:
         """Buffer, start, length and stride (0: packed) of a buffer view, all checked."""
         view = self.item("bufferViews", index)
         hidden = [name for name in COMPRESSED_VIEWS if name in view.get("extensions", {})]
-        if hidden:
+        if hidden and (hidden[0] in self.json.get("extensionsRequired", []) or not self._has_data(view.get("buffer"))):
             raise AssetError(f"{where} is compressed with {hidden[0]}: {_advice(hidden)}")
         data = self._buffer(view.get("buffer"))
         start, length, stride = view.get("byteOffset", 0), view.get("byteLength", 0), view.get("byteStride", 0)
@@ -213,6 +213,10 @@ class Document:
         if not count:
             return np.zeros((0, *shape), dtype)
         return np.ndarray((count, *shape), dtype, data, start + offset, (stride, *inner))
+
+    def _has_data(self, index: Any) -> bool:
+        """Whether a buffer is more than a length: compressed files may hold an uncompressed copy, or none."""
+        return "uri" in self.item("buffers", index) or (index == 0 and self._glb_chunk is not None)
 
     def _buffer(self, index: Any) -> bytes:
         if index not in self._buffers:
@@ -250,11 +254,44 @@ def _read_uri(uri: str, beside: Path, what: str) -> bytes:
             raise AssetError(f"{beside.name}: {what} has a damaged base64 uri: export again") from None
     if "://" in uri:
         raise AssetError(f"{beside.name}: {what} lies at {uri[:80]}: download it and name it relative to the file")
-    path = beside.parent / unquote(uri)
-    try:
-        return path.read_bytes()
-    except (OSError, ValueError):
-        raise AssetError(f"{beside.name}: {what} is missing: {unquote(uri)[:200]}: put it beside the file") from None
+    for name in _spellings(uri):
+        try:
+            path = _find_beside(beside.parent, name)
+            return path.read_bytes()
+        except (OSError, ValueError):
+            continue
+    raise AssetError(f"{beside.name}: {what} is missing: {unquote(uri)[:200]}: put it beside the file")
+
+
+def _spellings(uri: str) -> Iterator[str]:
+    """What a relative uri may mean, the likeliest first: exporters forget to quote, or write paths of Windows."""
+    for name in dict.fromkeys((unquote(uri), uri)):
+        yield name
+        if "\\" in name:
+            yield name.replace("\\", "/")
+            yield PureWindowsPath(name).name  # a path on the exporter's own drive
+
+
+def _find_beside(folder: Path, name: str) -> Path:
+    """The file of that name below a folder; one that differs in case alone, where there is just one such file.
+
+    Raises
+    ------
+    OSError, ValueError
+        If there is none.
+    """
+    path = folder / name
+    if path.is_file():
+        return path
+    for part in PurePosixPath(name).parts:
+        exact = folder / part
+        if not exact.exists():
+            alike = [entry for entry in folder.iterdir() if entry.name.lower() == part.lower()]
+            if len(alike) != 1:
+                raise FileNotFoundError(name)
+            exact = alike[0]
+        folder = exact
+    return folder
 
 
 def _parse_json(data: bytes, path: Path) -> dict[str, Any]:

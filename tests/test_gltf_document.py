@@ -93,6 +93,13 @@ def test_interleaved_views_with_offsets(tmp_path: Path) -> None:
     np.testing.assert_array_equal(document.accessor(i), record["id"])
 
 
+def compress(builder: GltfBuilder, required: bool) -> None:
+    """Say of the first view that it is compressed."""
+    builder.json["bufferViews"][0]["extensions"] = {"EXT_meshopt_compression": {}}
+    if required:
+        builder.json["extensionsRequired"] = ["EXT_meshopt_compression"]
+
+
 @pytest.mark.parametrize("name", ["a.glb", "a.vrm", "a.gltf", "a.external.gltf"])
 def test_buffers_inside_beside_and_in_base64(tmp_path: Path, name: str) -> None:
     document = read_document(bent_bar(tmp_path / name))
@@ -150,7 +157,7 @@ def broken(tmp_path: Path, change) -> Path:
         (lambda b: b.json["accessors"][0].update(sparse={"count": 1}), "sparse part is malformed"),
         (lambda b: b.json["bufferViews"][0].update(byteLength=10**6), "cut short"),
         (lambda b: b.json["bufferViews"][0].update(buffer=1), "does not exist"),
-        (lambda b: b.json["bufferViews"][0].update(extensions={"EXT_meshopt_compression": {}}), "decompress"),
+        (lambda b: compress(b, required=True), "decompress"),
         (lambda b: b.json.update(asset={"version": "1.0"}), "glTF 2.0"),
         (lambda b: b.json.pop("asset"), "not a glTF file"),
         (lambda b: b.json.update(nodes=[1, 2]), "nodes[0] must be an object"),
@@ -206,6 +213,40 @@ def test_missing_and_remote_buffers(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace("https://example.org/x.bin", "data:;base64,@@@"))
     with pytest.raises(AssetError, match="base64"):
         read_document(path).accessor(0)
+
+
+def test_names_that_exporters_write_badly(tmp_path: Path) -> None:
+    path = bent_bar(tmp_path / "a.external.gltf")
+    text = path.read_text()
+    data = (tmp_path / "its buffer.bin").read_bytes()
+    (tmp_path / "its buffer.bin").unlink()
+    (tmp_path / "Data").mkdir()
+    for uri, file in {
+        "Data/50%25 %2341.bin": "Data/50% #41.bin",
+        "Data/50% #42.bin": "Data/50% #42.bin",
+        "Data/a%20b.bin": "Data/a%20b.bin",
+        "Data\\\\c.bin": "Data/c.bin",
+        "DATA/d.BIN": "Data/D.bin",
+        "C:\\\\Users\\\\me\\\\e.bin": "e.bin",
+    }.items():
+        (tmp_path / file).write_bytes(data)
+        path.write_text(text.replace("its%20buffer.bin", uri))
+        assert len(read_document(path).accessor(0)) == 27
+    path.write_text(text.replace("its%20buffer.bin", "Data"))
+    with pytest.raises(AssetError, match="buffer 0 is missing: Data: put it beside"):
+        read_document(path).accessor(0)
+
+
+def test_a_compressed_view_with_an_uncompressed_copy_is_read(tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    builder.accessor([[1, 2, 3]])
+    compress(builder, required=False)
+    assert written(builder, tmp_path).accessor(0).tolist() == [[1, 2, 3]]
+    document = written(builder, tmp_path)
+    document.json["buffers"].append({"byteLength": 12})  # a length and no data
+    document.json["bufferViews"][0]["buffer"] = 1
+    with pytest.raises(AssetError, match="EXT_meshopt_compression: decompress"):
+        document.accessor(0)
 
 
 def test_required_extensions(tmp_path: Path) -> None:

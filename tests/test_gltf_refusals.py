@@ -46,6 +46,7 @@ def test_bad_meshes_are_refused_in_one_line(tmp_path: Path) -> None:
     assert "Draco" in refused(compressed, tmp_path)
     hidden = one_triangle()
     hidden.json["bufferViews"][0]["extensions"] = {"EXT_meshopt_compression": {}}
+    hidden.json["extensionsRequired"] = ["EXT_meshopt_compression"]
     assert "gltf-transform" in refused(hidden, tmp_path)
     required = one_triangle()
     required.json["extensionsRequired"] = ["XX_future"]
