@@ -4,13 +4,10 @@ Every vertex of the finest level is fetched as the GPU fetches it (16-bit positi
 and skinned in 64 bits in moments of all clips, beside the source's own vertex with the source's own weights. Errors are
 fractions of the bounding diagonal in percent. Memory is that of geometry, weights and all levels, beside the classic
 chain of the same levels: vertex attributes as glTF has them, and packed.
-
-Options: --built DIR ... (built characters), --sources DIR (where the files they were built from are), --moments N.
 """
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from benchmarks._inputs import ASSETS, BUILT_HELP, built_characters, command_line, source_of
 from benchmarks._table import print_table
 from benchmarks.draw import CLASSIC_VERTEX_BYTES
 from preprocess.geometry.weight_details import sample_weights
@@ -30,8 +28,6 @@ from runtime.gpu_levels import index_bytes, normal_bytes, vertex_attributes, ver
 from runtime.gpu_textures import prepare
 from runtime.pose import rest_pose, sample, skinning_rows
 
-BUILT = Path("out/benchmarks")
-SOURCES = Path("../shared/assets")
 CANDIDATES = 8  # nearest source vertices among which a vertex finds its own: parts may touch
 
 
@@ -113,24 +109,21 @@ def measure_memory(asset: Asset) -> dict[str, Any]:
 
 def run(argv: list[str]) -> list[dict[str, Any]]:
     """Measure and print; one row a character."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks accuracy", allow_abbrev=False)
-    parser.add_argument("--built", type=Path, nargs="*", help=f"built characters (all in {BUILT})")
-    parser.add_argument("--sources", type=Path, default=SOURCES)
-    parser.add_argument("--moments", type=int, default=9)
-    options, _ = parser.parse_known_args(argv)
+    parser = command_line("accuracy", __doc__)
+    parser.add_argument("--built", type=Path, nargs="+", help=BUILT_HELP)
+    parser.add_argument("--sources", type=Path, default=ASSETS, help="folder of the files they were built from")
+    parser.add_argument("--moments", type=int, default=9, help="of each clip (9)")
+    options = parser.parse_args(argv)
     errors, memory = [], []
-    for folder in options.built or sorted(BUILT.glob("*.seamless")):
+    for folder in built_characters(options.built):
         asset = load(folder)
         size = "{}x{}".format(*asset.textures["position"].size)
         name = {"character": asset.name}
         memory.append(
             {**name, "position px": size, "weights px": "{}x{}".format(*asset.weight_size), **measure_memory(asset)}
         )
-        source = options.sources / asset.manifest.json["source"]["file"]
-        if not source.is_file():
-            print(f"no {source}: give --sources")
-            continue
-        errors.append({**name, **measure_errors(asset, load_character(source), options.moments)})
+        character = load_character(source_of(asset, options.sources))
+        errors.append({**name, **measure_errors(asset, character, options.moments)})
     print_table(errors)
     print()
     print_table(memory)

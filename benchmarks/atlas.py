@@ -9,7 +9,6 @@ the bounding diagonal. CPU seconds of the atlas alone.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import time
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks._inputs import command_line, source_files
 from benchmarks._table import print_table
 from preprocess.atlas import build_atlas, default_floor
 from preprocess.atlas.measure import measure_coverage, measure_stretch, straight_share
@@ -33,7 +33,6 @@ from preprocess.split_edges import apply_split
 from preprocess.straighten import straighten
 from preprocess.texels import sample_bilinear
 
-ASSETS = Path(__file__).resolve().parent.parent.parent / "shared" / "assets"
 CHARACTERS = ("human.glb", "Fox.glb", "Knight.glb", "robot.glb", "mannequiny.glb")
 TOLERANCES_REL = (0.01, 0.02, 0.03, 0.05)
 WAYS = ("keep", "repack", "xatlas", "unwrap")
@@ -42,11 +41,11 @@ TEXTURE_PX = 512
 
 def run(argv: list[str]) -> list[dict[str, Any]]:
     """Measure all characters in all ways that they allow."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks atlas", allow_abbrev=False)
+    parser = command_line("atlas", __doc__)
     parser.add_argument("--character", type=Path, action="append", help="measure these instead of the test characters")
     parser.add_argument("--way", choices=WAYS, action="append", help="only these ways")
     options = parser.parse_args(argv)
-    paths = options.character or [ASSETS / name for name in CHARACTERS if (ASSETS / name).is_file()]
+    paths = source_files(options.character, CHARACTERS, "--character FILE")
     rows = []
     for path in paths:
         mesh = load_character(path).mesh
@@ -63,7 +62,9 @@ def _measure(mesh: SkinnedMesh, way: str) -> dict[str, Any]:
         try:
             made = _make(mesh, way, tolerance)
         except InputError as error:
-            return {"why not": str(error).split(": ")[1]}
+            return {"why not": str(error).partition(": ")[2] or str(error)}
+        except ModuleNotFoundError as error:
+            return {"why not": f"{error.name} is not installed"}
         seconds = time.process_time() - started
         overlap = find_overlap(made.surface.uvs, made.surface.face_uvs)
         if not overlap.one_to_one:

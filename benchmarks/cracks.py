@@ -9,13 +9,10 @@ share to the bit no rasteriser of OpenGL may separate. The same frames without t
 every seam moved by a millionth of the size, are counted beside it.
 
 Only closed parts of a character are drawn; what is open at its edges shows its inside rightly.
-
-Options: --built DIR ... (built characters), --frames N (in all), --size WxH.
 """
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,6 +22,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks._inputs import BUILT_HELP, built_characters, command_line
 from benchmarks._points import MIN_VERSION_CODE, PointCapture, differing_points
 from benchmarks._table import print_table
 from demos.headless import Canvas, create_context
@@ -36,7 +34,6 @@ from runtime.gpu_asset import Model
 from runtime.lods import DrawRange, LodMesh
 from runtime.renderer import Renderer
 
-BUILT = (Path("out/benchmarks/human.seamless"),)
 SHIFT_REL = 1e-6  # of the control: how far one side of every seam is moved, of the body's diagonal
 
 
@@ -234,17 +231,17 @@ def measure(ctx: moderngl.Context, folder: Path, count: int, size: tuple[int, in
 
 def run(argv: list[str]) -> list[dict[str, Any]]:
     """Measure and print."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks cracks", allow_abbrev=False)
-    parser.add_argument("--built", type=Path, nargs="+", default=BUILT, help="built characters")
+    parser = command_line("cracks", __doc__)
+    parser.add_argument("--built", type=Path, nargs="+", help=BUILT_HELP)
     parser.add_argument("--frames", type=int, default=500, help="in all (500)")
     parser.add_argument("--size", type=picture_size, default=(1024, 1024), metavar="WxH")
-    options, _ = parser.parse_known_args(argv)
-    rows = []
-    folders = [folder for folder in options.built if folder.is_dir()]
-    for missing in set(options.built) - set(folders):
-        print(f"no built character in {missing}: python -m preprocess MODEL -o {missing}")
+    options = parser.parse_args(argv)
+    rows: list[dict[str, Any]] = []
+    folders = built_characters(options.built)
     for seed, folder in enumerate(folders):
         ctx = create_context()
+        if not rows:
+            print(f"{ctx.info['GL_RENDERER']}, OpenGL {ctx.version_code / 100:.1f}", flush=True)
         rows.append(measure(ctx, folder, -(-options.frames // len(folders)), options.size, seed))
         ctx.release()
     print_table(rows)

@@ -7,7 +7,6 @@ levels of ours have, and is chosen by the error that it reports or by its larges
 is. Pictures have eight samples a pixel; their error is measured against full detail with nine pixels for one and a
 padded texture, so that neither edges nor bleeding mip levels are in the reference.
 
-Options: --built DIR, --model FILE, --count N, --size WxH, --out FOLDER for pictures.
 CPU time counts all threads of the process: in software OpenGL it is the work, whatever else the machine does.
 """
 
@@ -26,6 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import runtime
+from benchmarks._inputs import ASSETS, MissingInput, command_line
+from benchmarks._inputs import BUILT as BUILT_FOLDERS
 from benchmarks._table import print_table
 from demos.crowd import square
 from demos.headless import Canvas, create_context, write_png
@@ -35,8 +36,7 @@ from runtime.crowd_levels import LevelMesh
 from runtime.gltf import Document, read_document
 from runtime.gpu_levels import DrawGroup
 
-SOURCE = Path("../shared/assets/human.glb")
-BUILT = Path("out/benchmarks/human.seamless")
+SOURCE, BUILT = ASSETS / "human.glb", BUILT_FOLDERS[0] / "human.seamless"
 COARSEST_FACES = 48
 UV_WEIGHT = 1.0  # of meshoptimizer's attribute metric; its documentation's own scale for unit-sized attributes
 OVERSAMPLING = 3  # pixels of the reference along a pixel's side
@@ -244,16 +244,15 @@ def build_character(model: Path, folder: Path) -> None:
 
 def run(argv: list[str]) -> list[dict[str, Any]]:
     """Measure and print."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks crowd", description=__doc__)
+    parser = command_line("crowd", __doc__)
     parser.add_argument("--built", type=Path, default=BUILT, help="built character (built when missing)")
-    parser.add_argument("--model", type=Path, default=SOURCE, help="the file it was built from")
-    parser.add_argument("--count", type=int, default=10_000)
-    parser.add_argument("--size", type=picture_size, default=(1920, 1080))
+    parser.add_argument("--model", type=Path, default=SOURCE, help="the file it was built from (human)")
+    parser.add_argument("--count", type=int, default=10_000, help="actors (10000)")
+    parser.add_argument("--size", type=picture_size, default=(1920, 1080), metavar="WxH")
     parser.add_argument("--out", type=Path, help="folder for the pictures")
     options = parser.parse_args(argv)
     if not options.model.is_file():
-        print(f"(skipped: {options.model} is missing; name another with --model)")
-        return []
+        raise MissingInput(f"no such file: {options.model}: name one with --model FILE --built DIR")
     if not options.built.is_dir():
         build_character(options.model, options.built)
     ctx = create_context()

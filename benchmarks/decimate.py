@@ -10,7 +10,6 @@ the decimation alone, without reading or writing files.
 
 from __future__ import annotations
 
-import argparse
 import functools
 import importlib
 import math
@@ -26,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks._inputs import command_line, source_files
 from benchmarks._mesh_pictures import MeshStudio, mean_flip
 from benchmarks._table import print_table
 from preprocess.decimate import DecimateOptions, Lod, decimate, decimate_to
@@ -41,7 +41,6 @@ from preprocess.seams import find_seams
 from preprocess.straighten import straighten
 from preprocess.straighten.warp import find_warp
 
-ASSETS = Path(__file__).resolve().parent.parent.parent / "shared" / "assets"
 MESHES = ("human.glb", "blub.obj")
 RATIOS = (0.5, 0.25, 0.1, 0.05)
 CURVE_SIDES = (71, 158, 354, 500, 707, 1000)  # cells along a square; two faces each
@@ -275,11 +274,11 @@ def _curve() -> list[dict[str, Any]]:
 
 def run(argv: list[str]) -> list[dict[str, Any]]:
     """Compare, measure jumps at every level, and time the curve; see the module's text."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks decimate", allow_abbrev=False)
+    parser = command_line("decimate", __doc__)
     parser.add_argument("--curve", action="store_true", help="also time 10 thousand to 2 million faces (minutes)")
     parser.add_argument("--mesh", type=Path, action="append", help="measure these instead of the test characters")
     options = parser.parse_args(argv)
-    paths = options.mesh or [ASSETS / name for name in MESHES if (ASSETS / name).is_file()]
+    paths = source_files(options.mesh, MESHES, "--mesh FILE")
     prepared = {path.stem: _prepare(path) for path in paths}
     tables = [
         [row for name, (surface, studio) in prepared.items() for row in _compare(surface, name, studio)],

@@ -4,13 +4,10 @@ Three questions: what a frame costs at equal triangles, for each way to store jo
 for a character 200 pixels tall, shaded and without shading; and how many bytes it all takes. Every
 time is the median over rounds in which the candidates take turns. CPU time counts all threads of the process: with
 software OpenGL it is the work itself, whatever else the machine does.
-
-Options: --built DIR (a built character), --rounds N, --size WxH.
 """
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -21,6 +18,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks._inputs import command_line, one_built_character
 from benchmarks._table import print_table
 from benchmarks._tall import measure_tall
 from demos.headless import Canvas, create_context
@@ -37,7 +35,6 @@ from runtime.pose import sample, skinning_rows
 from runtime.programs import build_program, set_uniforms
 from runtime.renderer import Renderer
 
-BUILT = Path("out/benchmarks/human.seamless")
 JOINT_BLOCK_ROWS = 1020  # vec4 in the smallest uniform block that OpenGL promises, three a joint
 DRAWS_A_ROUND = 6  # before one waits for the end
 # Bytes a vertex of the classic chain. As glTF has them: position 12, normal 12, tangent 16, uv 8, joints 4, weights 16;
@@ -255,17 +252,15 @@ def measure_bytes(model: Model) -> list[dict[str, Any]]:
 
 def run(argv: list[str]) -> list[dict[str, Any]]:
     """Measure and print; the rows of all tables."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks draw", allow_abbrev=False)
-    parser.add_argument("--built", type=Path, default=BUILT, help=f"a built character ({BUILT})")
-    parser.add_argument("--rounds", type=int, default=30)
+    parser = command_line("draw", __doc__)
+    parser.add_argument("--built", type=Path, help="a built character (default: human's, or the first there is)")
+    parser.add_argument("--rounds", type=int, default=30, help="in which the candidates take turns (30)")
     parser.add_argument("--size", type=picture_size, default=(512, 512), metavar="WxH")
-    options, _ = parser.parse_known_args(argv)
-    if not options.built.is_dir():
-        print(f"no built character in {options.built}: python -m preprocess MODEL -o {options.built}")
-        return []
+    options = parser.parse_args(argv)
+    asset = load(one_built_character(options.built))
     ctx = create_context()
     print(f"{ctx.info['GL_RENDERER']}, {options.size[0]} x {options.size[1]}")
-    bench = Bench(ctx, load(options.built))
+    bench = Bench(ctx, asset)
     canvas = Canvas(ctx, options.size, smooth=False)
     rows: list[dict[str, Any]] = []
     try:

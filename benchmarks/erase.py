@@ -4,8 +4,6 @@ Every measurement runs in a process of its own, so that peak memory is its own: 
 included, and what erasure added to a process that had imported them. Times are of reading nothing and writing nothing:
 plan and solve, from texels to stored texels. The reference (zfergus/seam-erasure) runs where it can be imported or the
 environment variable SEAM_ERASURE names a checkout; SEAM_ERASURE_PYTHON may name the Python that has its dependencies.
-
-    python -m benchmarks erase [--mesh FILE --image FILE] [--curve] [--channels]
 """
 
 from __future__ import annotations
@@ -20,9 +18,9 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from benchmarks._inputs import ASSETS, MissingInput, command_line, source_files
 from benchmarks._table import print_table
 
-ASSETS = Path(__file__).resolve().parent.parent.parent / "shared" / "assets"
 CURVE = (256, 512, 1024, 2048, 4096, 8192)
 
 # ru_maxrss would count the parent's memory at the fork too.
@@ -46,7 +44,7 @@ from preprocess.seams import find_seams
 mesh, image, channels, output = sys.argv[1], sys.argv[2], int(sys.argv[3]), sys.argv[4]
 surface = read_obj(__import__("pathlib").Path(mesh))
 seams = find_seams(surface)
-tiny = np.zeros((16, 16, 1), np.uint8)  # loads the compiled kernels
+tiny = np.zeros((16, 16, 1), np.uint8)  # imports what is imported when it is used
 plan_erasure(surface, seams, 16, 16).erase_stored(tiny)
 texels = np.load(image)
 if channels:
@@ -151,23 +149,21 @@ def _inputs(options: argparse.Namespace, folder: Path) -> list[tuple[str, Path, 
     from preprocess.images import read_image
     from preprocess.obj import read_surface, write_obj
 
-    pairs: list[tuple[str, Path, Path | None]] = [
-        ("blub", ASSETS / "blub.obj", ASSETS / "blub.png"),
-        ("Fox", ASSETS / "Fox.glb", None),
-    ]
-    if options.mesh:
-        pairs = [(options.mesh.stem, options.mesh, options.image)]
+    chosen = None if options.mesh is None else [options.mesh]
     inputs = []
-    for name, mesh, image in pairs:
-        if not mesh.is_file():
-            print(f"{name}: {mesh.name} is not in ../shared/assets: left out")
-            continue
+    for mesh in source_files(chosen, ("blub.obj", "Fox.glb"), "--mesh FILE --image FILE"):
+        name, image = mesh.stem, options.image
+        if image is None and mesh.suffix == ".obj":
+            image = ASSETS / "blub.png" if chosen is None else mesh.with_suffix(".png")
+        if image is not None and not image.is_file():
+            raise MissingInput(f"no image of {mesh.name}: give --image FILE")
         write_obj(folder / f"{name}.obj", read_surface(mesh))
         if image is None:
             from preprocess.gltf import load_character
 
             texture = load_character(mesh).materials[0].base_color
-            assert texture is not None
+            if texture is None:
+                raise MissingInput(f"{mesh.name} has no base colour texture: give --image FILE")
             texels = (texture.image.texels[..., :3] * 255).round().astype("uint8")
         else:
             texels = read_image(image, native=True).texels
@@ -177,12 +173,12 @@ def _inputs(options: argparse.Namespace, folder: Path) -> list[tuple[str, Path, 
 
 def run(argv: list[str]) -> list[dict[str, Any]]:
     """Measure and print; return the rows."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks erase", allow_abbrev=False)
-    parser.add_argument("--mesh", type=Path)
-    parser.add_argument("--image", type=Path)
+    parser = command_line("erase", __doc__)
+    parser.add_argument("--mesh", type=Path, help="measure this one instead of blub and Fox")
+    parser.add_argument("--image", type=Path, help="its texture (default: the file's own, or the PNG beside it)")
     parser.add_argument("--curve", action="store_true", help="256² to 8192² of the first input")
     parser.add_argument("--channels", action="store_true", help="64 channels at 1024²")
-    options, _ = parser.parse_known_args(argv)
+    options = parser.parse_args(argv)
     rows = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -3,18 +3,16 @@
 All on a ladder of three levels an octave, of the character's own atlas, measured alike: largest distance both ways over
 the pipeline's samples and poses, in per cent of the bounding diagonal. meshoptimizer, where it is installed, gets the
 welded mesh without attributes. "-" where no level with fewer faces than the full mesh is near enough.
-
-Options: --models FILE ... (default: the test characters).
 """
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks._inputs import command_line, source_files
 from benchmarks._table import print_table
 from preprocess.decimate import DecimateOptions, decimate
 from preprocess.decimate.measure import Reference, make_reference, sample_mesh
@@ -25,8 +23,7 @@ from preprocess.mesh import Floats, Ints, TexturedSurface
 from preprocess.pipeline import SURFACE_PX, _build_atlas, draw_groups, sample_poses
 from preprocess.settings import Settings
 
-ASSETS = Path(__file__).resolve().parent.parent.parent / "shared" / "assets"
-MODELS = tuple(ASSETS / f"{name}.glb" for name in ("human", "mannequiny", "Knight", "Fox"))
+MODELS = ("human.glb", "mannequiny.glb", "Knight.glb", "Fox.glb")
 ERRORS_REL = (0.001, 0.002, 0.004, 0.008, 0.016, 0.032)
 STEPS_AN_OCTAVE, COARSEST_FACES = 3, 60
 
@@ -102,8 +99,9 @@ def _measure(model: Path) -> list[dict[str, Any]]:
 
 def run(argv: list[str]) -> list[dict[str, Any]]:
     """Print the table; see the module's text."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks levels", allow_abbrev=False)
-    parser.add_argument("--models", type=Path, nargs="+", default=[model for model in MODELS if model.is_file()])
-    rows = [row for model in parser.parse_args(argv).models for row in _measure(model)]
+    parser = command_line("levels", __doc__)
+    parser.add_argument("--models", type=Path, nargs="+", help="instead of the test characters")
+    models = source_files(parser.parse_args(argv).models, MODELS, "--models FILE")
+    rows = [row for model in models for row in _measure(model)]
     print_table(rows)
     return rows

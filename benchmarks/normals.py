@@ -13,23 +13,19 @@ vertices`). Where a large face bends much these are degrees apart (`ways apart`)
 `edges` are points within a texel and a half of an edge of their face; `thin` those of faces that the atlas gives less
 than a texel's height; `divided` those whose triangle the finest level has divided. `worst clip` is the clip with the
 largest RMS. All angles are degrees, all shares of points.
-
-Options: --built DIR ... (built characters), --sources DIR (where the files they were built from are), --points N,
---moments N (of each clip).
 """
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks._drawn_points import DrawnPoints, find_drawn_points
+from benchmarks._inputs import ASSETS, BUILT_HELP, built_characters, command_line, source_of
 from benchmarks._source_normals import SourceNormals, cofactors, unit
 from benchmarks._table import print_table
-from benchmarks.accuracy import BUILT, SOURCES
 from preprocess.geometry.weight_details import sample_weights
 from preprocess.geometry.weights import unpack_weights
 from preprocess.gltf import Character, load_character
@@ -170,20 +166,17 @@ def measure(asset: Asset, character: Character, num_points: int, moments: int) -
 
 def run(argv: list[str]) -> list[dict[str, Any]]:
     """Measure and print; one row a character."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks normals", allow_abbrev=False)
-    parser.add_argument("--built", type=Path, nargs="*", help=f"built characters (all in {BUILT})")
-    parser.add_argument("--sources", type=Path, default=SOURCES)
-    parser.add_argument("--points", type=int, default=40_000)
-    parser.add_argument("--moments", type=int, default=3)
-    options, _ = parser.parse_known_args(argv)
+    parser = command_line("normals", __doc__)
+    parser.add_argument("--built", type=Path, nargs="+", help=BUILT_HELP)
+    parser.add_argument("--sources", type=Path, default=ASSETS, help="folder of the files they were built from")
+    parser.add_argument("--points", type=int, default=40_000, help="random points (40000)")
+    parser.add_argument("--moments", type=int, default=3, help="of each clip (3)")
+    options = parser.parse_args(argv)
     at_rest: list[dict[str, Any]] = []
     posed: list[dict[str, Any]] = []
-    for folder in options.built or sorted(BUILT.glob("*.seamless")):
+    for folder in built_characters(options.built):
         asset = load(folder)
-        source = options.sources / asset.manifest.json["source"]["file"]
-        if not source.is_file():
-            print(f"no {source}: give --sources")
-            continue
+        source = source_of(asset, options.sources)
         for table, row in zip(
             (at_rest, posed), measure(asset, load_character(source), options.points, options.moments), strict=True
         ):

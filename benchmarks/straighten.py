@@ -5,20 +5,19 @@
 
 from __future__ import annotations
 
-import argparse
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks._inputs import command_line, source_files
 from benchmarks._table import print_table
 from preprocess.decimate import decimate_to
 from preprocess.obj import read_surface
 from preprocess.straighten import straighten
 from preprocess.straighten.warp import find_warp
 
-ASSETS = Path(__file__).resolve().parent.parent.parent / "shared" / "assets"
 MESHES = ("human.glb", "Fox.glb", "blub.obj")
 TOLERANCES_REL = (0.0, 0.005, 0.01, 0.02, 0.03, 0.05, 0.1)
 IMAGE_PX = 1024
@@ -26,11 +25,11 @@ IMAGE_PX = 1024
 
 def run(argv: list[str]) -> list[dict[str, Any]]:
     """Measure all meshes at all tolerances; CPU seconds, after one run that compiles."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks straighten", allow_abbrev=False)
+    parser = command_line("straighten", __doc__)
     parser.add_argument("--decimate", action="store_true", help="also decimate to the floor")
     parser.add_argument("--mesh", type=Path, action="append", help="measure these instead of the test characters")
     options = parser.parse_args(argv)
-    paths = options.mesh or [ASSETS / name for name in MESHES if (ASSETS / name).is_file()]
+    paths = source_files(options.mesh, MESHES, "--mesh FILE")
     rows = []
     for path in paths:
         surface = read_surface(path)

@@ -2,19 +2,17 @@
 
 Every level is divided as the shaders divide it, edges into equal parts and faulty triangles left flat, and compared
 with the finest level as it is drawn: largest and mean distance, both ways, in thousandths of the character's diagonal.
-
-Options: --built DIR (a built character).
 """
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks._inputs import command_line, one_built_character
 from benchmarks._table import print_table
 from preprocess.decimate.measure import sample_mesh
 from preprocess.decimate.nearest import build_tree
@@ -23,7 +21,6 @@ from runtime.asset import Asset, load
 from runtime.lods import LodMesh
 from runtime.patch_faults import divided_patches
 
-BUILT = Path("out/benchmarks/human.seamless")
 FACTORS = (2, 4, 8)
 MOST_TRIANGLES = 300_000
 NUM_SAMPLES = 8192
@@ -97,12 +94,8 @@ def measure_levels(asset: Asset) -> list[dict[str, Any]]:
 
 def run(argv: list[str]) -> list[dict[str, Any]]:
     """Measure and print."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks tessellation", allow_abbrev=False)
-    parser.add_argument("--built", type=Path, default=BUILT, help=f"a built character ({BUILT})")
-    options, _ = parser.parse_known_args(argv)
-    if not options.built.is_dir():
-        print(f"no built character in {options.built}: python -m preprocess MODEL -o {options.built}")
-        return []
-    rows = measure_levels(load(options.built))
+    parser = command_line("tessellation", __doc__)
+    parser.add_argument("--built", type=Path, help="a built character (default: human's, or the first there is)")
+    rows = measure_levels(load(one_built_character(parser.parse_args(argv).built)))
     print_table(rows)
     return rows
