@@ -16,6 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from runtime.bounds import JointBoxes, box_around
 from runtime.clip import Clip
+from runtime.errors import NotCopied
+from runtime.given import numbers, shown
 from runtime.mixer import Mixer
 
 Floats = NDArray[np.floating[Any]]
@@ -37,7 +39,15 @@ class HasTransform(Protocol):
     transform: Any
 
 
-class Actor:
+def _matrix(value: ArrayLike, what: str) -> NDArray[np.float64]:
+    """A finite 4×4 matrix, copied; ValueError that names it for anything else."""
+    matrix = numbers(value, f"the entries of {what}, a finite 4×4 matrix,")
+    if matrix.shape != (4, 4):
+        raise ValueError(f"{what} must be a 4×4 matrix, not of shape {matrix.shape}: {shown(value)}")
+    return matrix
+
+
+class Actor(NotCopied):
     """A character that stands somewhere and plays clips.
 
     Made by ``model.actor(...)``; needs no OpenGL of its own.
@@ -82,13 +92,13 @@ class Actor:
             self.tint = tint
             if transform is not None:
                 self.transform = transform
-            if isinstance(root_motion, str) and root_motion != "turn":
-                raise ValueError(f"root_motion {root_motion!r} is unknown: use False, True or 'turn'")
+            if root_motion not in (False, True, "turn"):
+                raise ValueError(f"root_motion {shown(root_motion)} is unknown: use False, True or 'turn'")
             if root_motion:
                 self._mixer.moves_root(self._row, True, turns=root_motion == "turn")
             if clip is not None:
                 self.play(clip, time_s=time_s, speed=speed, loop=loop)
-        except ValueError:
+        except BaseException:
             self.release()
             raise
 
@@ -101,12 +111,7 @@ class Actor:
 
     @transform.setter
     def transform(self, value: ArrayLike) -> None:
-        matrix = np.array(value, dtype=np.float64)
-        if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-            raise ValueError(
-                f"an actor's transform must be a finite 4×4 matrix, not shape {matrix.shape}: {value!r:.80}"
-            )
-        self._transform = matrix
+        self._transform = _matrix(value, "an actor's transform")
 
     @property
     def tint(self) -> NDArray[np.float32]:
@@ -115,9 +120,9 @@ class Actor:
 
     @tint.setter
     def tint(self, value: ArrayLike) -> None:
-        color = np.array(value, dtype=np.float32)
-        if color.shape not in ((3,), (4,)) or not np.isfinite(color).all():
-            raise ValueError(f"a tint is three or four finite numbers, not {value!r:.80}")
+        color = numbers(value, "a tint").astype(np.float32)
+        if color.shape not in ((3,), (4,)):
+            raise ValueError(f"a tint is three or four finite numbers, not {shown(value)}")
         self._tint = np.append(color, np.float32(1)) if len(color) == 3 else color
 
     # Animation
@@ -223,9 +228,12 @@ class Actor:
             From the thing's space to the joint's.
         """
         node = self._mixer.skeleton.node(joint)
-        place = np.eye(4) if offset is None else np.array(offset, dtype=np.float64)
-        if place.shape != (4, 4) or not np.isfinite(place).all():
-            raise ValueError("an offset must be a finite 4×4 matrix")
+        place = np.eye(4) if offset is None else _matrix(offset, "an offset")
+        if not hasattr(thing, "transform"):
+            raise ValueError(f"only what has a transform can be attached, not {shown(thing)}")
+        if thing is self or (isinstance(thing, Actor) and thing._carries(self)):
+            raise ValueError("an actor cannot hang on itself, not by way of others either: detach one of them first")
+        _ = self.row
         self.detach(thing)
         self._attached.append((thing, node, place))
         self._place_attached()
@@ -233,6 +241,11 @@ class Actor:
     def detach(self, thing: HasTransform) -> None:
         """Let go of a thing; nothing happens when it was not attached."""
         self._attached = [entry for entry in self._attached if entry[0] is not thing]
+
+    def _carries(self, other: Actor) -> bool:
+        """Whether another actor hangs on this one, by way of others too."""
+        carried = [thing for thing, _, _ in self._attached if isinstance(thing, Actor)]
+        return other in carried or any(actor._carries(other) for actor in carried)
 
     def _place_attached(self) -> None:
         for thing, node, offset in self._attached:

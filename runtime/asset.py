@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import REBUILD, AssetError
+from runtime.given import shown
 from runtime.gltf import Document, read_document
 from runtime.lods import LodMesh, read_lods
 from runtime.png import find_png_fault
@@ -142,6 +144,8 @@ def read_manifest(folder: Path) -> Manifest:
         If the folder or the file is missing or malformed, or of a newer schema.
     """
     path = folder / "manifest.json"
+    if folder.is_file():
+        raise AssetError(f"{folder} is a file, not a built character: load the folder that python -m preprocess made")
     if not folder.is_dir():
         raise AssetError(f"no such folder: {folder}: {REBUILD}, or check the path")
     if not path.is_file():
@@ -340,6 +344,8 @@ def load(path: str | Path) -> Asset:
     """
     from runtime.clip import read_clips
 
+    if not isinstance(path, str | PathLike):
+        raise AssetError(f"a character is loaded from the path of its folder, not from {shown(path)}")
     folder = Path(path)
     manifest = read_manifest(folder)
     model = manifest.json.get("model", "model.glb")

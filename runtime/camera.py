@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from runtime.errors import RenderError
+from runtime.given import is_number, numbers, shown
 
 Matrix = NDArray[np.float64]
 
@@ -119,8 +120,11 @@ class Camera:
             If eye and target coincide, a number is not finite, or the angle or the distances make no sense.
         """
         eye, target, up = _vector(self.eye), _vector(self.target), _vector(self.up)
-        if not 0.0 < self.fovy_deg < 180.0:
-            raise RenderError(f"the camera's field of view is {self.fovy_deg} degrees: it must lie between 0 and 180")
+        if not is_number(self.fovy_deg) or not 0.0 < self.fovy_deg < 180.0:
+            told = shown(self.fovy_deg)
+            raise RenderError(f"the camera's field of view is {told} degrees: it must lie between 0 and 180")
+        if not all(value is None or is_number(value) for value in (self.near_m, self.far_m)):
+            raise RenderError("the camera's near_m and far_m must be numbers, or None to be chosen")
         distance = math.dist(eye, target)
         if distance == 0.0:
             raise RenderError("the camera's eye and target are the same point: move one of them")
@@ -210,9 +214,20 @@ def framing(
         From the box towards the eye.
     margin : float
         Size of the picture over the size of what it shows.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite, or the direction, the aspect or the angle makes no sense.
     """
-    corners = np.asarray(box, np.float64)
-    towards = np.asarray(direction, np.float64) / np.linalg.norm(np.asarray(direction, np.float64))
+    corners, towards = numbers(box, "a box"), numbers(direction, "a direction")
+    if corners.shape != (2, 3) or towards.shape != (3,) or not towards.any():
+        raise ValueError("framing needs a box of two points and a direction that is not zero")
+    if not (is_number(aspect) and aspect > 0 and is_number(fovy_deg) and 0 < fovy_deg < 180):
+        raise ValueError(
+            f"framing needs an aspect above 0 and 0 to 180 degrees, not {shown(aspect)}, {shown(fovy_deg)}"
+        )
+    towards = towards / np.linalg.norm(towards)
     centre = corners.mean(axis=0)
     right = np.cross((0.0, 1.0, 0.0), towards)
     right = right / np.linalg.norm(right) if np.linalg.norm(right) > 1e-9 else np.array([1.0, 0.0, 0.0])

@@ -19,11 +19,14 @@ from numpy.typing import ArrayLike, NDArray
 from runtime import gl_state
 from runtime.actor import joint_boxes_of
 from runtime.clip import Clip
+from runtime.contexts import require_current
 from runtime.crowd_bake import MAX_ROWS, bake_clips
 from runtime.crowd_levels import CrowdLevel, LevelMesh, bake_level_places, model_meshes, upload_level
 from runtime.crowd_passes import CrowdPasses
 from runtime.crowd_stage import Stage
-from runtime.errors import RenderError
+from runtime.errors import NotCopied, RenderError
+from runtime.given import FASTEST, LONGEST_S, no_such, numbers, step_s, whole
+from runtime.given import shown as told
 from runtime.gpu_asset import Model, require_alive
 from runtime.gpu_textures import TEXTURE_UNITS
 from runtime.views import CrowdFrame
@@ -31,9 +34,10 @@ from runtime.views import CrowdFrame
 Floats = NDArray[np.floating[Any]]
 
 PLACES_BYTES = 8 << 20
+MOST_ACTORS = 10_000_000
 
 
-class Crowd:
+class Crowd(NotCopied):
     """Many actors of one model.
 
     Parameters
@@ -65,19 +69,26 @@ class Crowd:
         clips: Sequence[str | int | Clip] | None = None,
         places_bytes: int = PLACES_BYTES,
     ) -> None:
+        if not isinstance(ctx, moderngl.Context) or not isinstance(model, Model):
+            raise RenderError(f"a crowd is made of a context, a model and a number, not {told(ctx)}, {told(model)}")
         require_alive(ctx, "crowd")
         model.require_usable()
         if ctx is not model.ctx:
             raise RenderError(f"the model {model.asset.name} belongs to another context than the crowd")
-        if count < 0:
-            raise ValueError(f"a crowd of {count} actors makes no sense")
+        require_current(ctx, "crowd")
+        if not whole(count) or not 0 <= count <= MOST_ACTORS:
+            raise ValueError(f"a crowd has 0 to {MOST_ACTORS:,} actors, not {told(count)}")
+        if isinstance(clips, str) or (clips is not None and not isinstance(clips, Sequence)):
+            raise ValueError(f"clips must be a list of names, numbers or Clips, not {told(clips)}")
+        if not whole(places_bytes) or places_bytes < 0:
+            raise ValueError(f"places_bytes must be a whole number of bytes, not {told(places_bytes)}")
         self.ctx = ctx
         self.model = model
         mixer = model.mixer
         chosen = mixer.clips if clips is None else [mixer.clips[mixer.clip_index(clip)] for clip in clips]
         self._texture_limit = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
         self.baked = bake_clips(mixer.skeleton, chosen, joint_boxes_of(model), min(MAX_ROWS, self._texture_limit))
-        self.stage = Stage(self.baked, count)
+        self.stage = Stage(self.baked, int(count))
         self.visible = True
         self.last_counts: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
         self._released = False
@@ -123,7 +134,7 @@ class Crowd:
 
     def play(
         self,
-        clip: str | int | ArrayLike,
+        clip: str | int | Clip | ArrayLike,
         *,
         which: Any = None,
         phases_s: ArrayLike = 0.0,
@@ -134,33 +145,44 @@ class Crowd:
 
         Parameters
         ----------
-        clip : a name, a number, or (A,) numbers into `clip_names`
+        clip : a name, a number or a Clip, or (A,) names or numbers into `clip_names`
         which : slice, mask or numbers of actors, optional
         phases_s : where in the clip each is now, seconds
         speeds : factors
         loop : over and over, or once and hold the end
         """
-        stage, numbers = self.stage, self.stage.index(which)
-        phases, factors = np.asarray(phases_s, dtype=np.float64), np.asarray(speeds, dtype=np.float64)
-        if not (np.isfinite(phases).all() and np.isfinite(factors).all()):
-            raise ValueError("phases and speeds must be finite numbers")
-        stage.clips[numbers] = self._clip_numbers(clip)
-        stage.speeds[numbers] = factors
-        stage.phases_s[numbers] = phases - stage.clock_s * stage.speeds[numbers]
-        stage.loops[numbers] = loop
-        stage.place_spheres(numbers)
+        stage, actors = self.stage, self.stage.index(which)
+        values = {
+            "clips": self._clip_numbers(clip),
+            "speeds": numbers(speeds, "speeds", FASTEST),
+            "phases_s": numbers(phases_s, "phases_s", LONGEST_S),
+        }
+        for name, value in values.items():
+            if value.shape not in ((), (len(actors),)):
+                raise ValueError(f"{len(actors)} actors need one of {name} each, or one for all, not {value.shape}")
+        stage.clips[actors] = values["clips"]
+        stage.speeds[actors] = values["speeds"]
+        stage.phases_s[actors] = values["phases_s"] - stage.clock_s * stage.speeds[actors]
+        stage.loops[actors] = loop
+        stage.place_spheres(actors)
 
-    def _clip_numbers(self, clip: str | int | ArrayLike) -> NDArray[np.int64]:
+    def _clip_numbers(self, clip: str | int | Clip | ArrayLike) -> NDArray[np.int64]:
         """Numbers of clips from what a caller may give."""
         names = self.clip_names
-        if isinstance(clip, str):
-            if clip not in names:
-                raise ValueError(f"no clip {clip!r}; the crowd has {', '.join(map(repr, names))}")
-            return np.array(names.index(clip))
-        numbers = np.asarray(clip, dtype=np.int64)
-        if numbers.size and not (0 <= numbers.min() and numbers.max() < len(names)):
-            raise ValueError(f"no clip {int(numbers.max())}; the crowd has {len(names)}, counted from 0")
-        return numbers
+        if isinstance(clip, Clip):
+            clip = clip.name
+        given = np.asarray(clip)
+        if given.dtype.kind in "US":
+            known = {name: number for number, name in reversed(list(enumerate(names)))}
+            for name in np.unique(given).astype(str):
+                if name not in known:
+                    raise no_such("clip", str(name), names, "crowd")
+            return np.array([known[name] for name in given.ravel().astype(str)], dtype=np.int64).reshape(given.shape)
+        wrong = given.dtype.kind not in "iu" or (given < 0) | (given >= len(names))
+        if given.size and np.any(wrong):
+            first = told(clip if wrong is True else int(given[wrong].flat[0]))
+            raise ValueError(f"no clip {first}; the crowd has {len(names)}, counted from 0")
+        return given.astype(np.int64)
 
     @property
     def clip_names(self) -> tuple[str, ...]:
@@ -169,22 +191,22 @@ class Crowd:
 
     def tint(self, colors: ArrayLike, which: Any = None) -> None:
         """Set factors of the base colour: (A, 3), (A, 4), (3,) or (4,) float, linear, 0 to 1."""
-        numbers = self.stage.index(which)
-        given = np.asarray(colors, dtype=np.float64)
-        if given.shape[-1:] not in ((3,), (4,)) or not np.isfinite(given).all():
-            raise ValueError("tints need three or four finite numbers each")
+        actors, given = self.stage.index(which), numbers(colors, "tints")
+        if given.shape[-1:] not in ((3,), (4,)) or given.shape[:-1] not in ((), (len(actors),)):
+            raise ValueError(f"{len(actors)} actors need tints (A, 3) or (A, 4), or one for all, not {given.shape}")
         bytes_ = np.rint(np.clip(given, 0, 1) * 255).astype(np.uint8)
-        self.stage.tints[numbers, : given.shape[-1]] = bytes_
+        self.stage.tints[actors, : given.shape[-1]] = bytes_
 
     def show(self, shown: ArrayLike, which: Any = None) -> None:
         """Show or hide actors: bool or (A,) bool."""
-        self.stage.visible[self.stage.index(which)] = shown
+        actors, given = self.stage.index(which), np.asarray(shown)
+        if given.dtype.kind != "b" or given.shape not in ((), (len(actors),)):
+            raise ValueError(f"{len(actors)} actors need True or False each, or one for all, not {told(shown)}")
+        self.stage.visible[actors] = given
 
     def update(self, dt_s: float) -> None:
         """Let time run on for everybody. Costs nothing: places in clips are computed for those in view only."""
-        if not np.isfinite(dt_s):
-            raise ValueError(f"a crowd cannot be updated by {dt_s} seconds; check the frame clock")
-        self.stage.clock_s += dt_s
+        self.stage.clock_s += step_s(dt_s, "a crowd")
 
     # Buffers
 

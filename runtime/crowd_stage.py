@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from runtime.camera import CameraMatrices
 from runtime.crowd_bake import BakedClips
+from runtime.given import numbers as finite
+from runtime.given import shown
 from runtime.lod import HYSTERESIS
 
 Floats = NDArray[np.floating[Any]]
@@ -77,7 +79,12 @@ class Stage:
         if isinstance(which, slice):
             return np.arange(self.count)[which]
         numbers = np.atleast_1d(np.asarray(which))
-        numbers = np.flatnonzero(numbers) if numbers.dtype == bool else numbers.astype(np.int64)
+        kind = numbers.dtype.kind
+        if numbers.ndim != 1 or (numbers.size and kind not in "biu") or (kind == "b" and len(numbers) != self.count):
+            raise ValueError(
+                f"`which` must be a slice, a mask of {self.count} or numbers of actors, not {shown(which)}"
+            )
+        numbers = np.flatnonzero(numbers) if kind == "b" else numbers.astype(np.int64)
         if len(numbers) and not (-self.count <= numbers.min() and numbers.max() < self.count):
             raise ValueError(f"the crowd has {self.count} actors, numbers 0 to {self.count - 1}")
         return numbers
@@ -91,7 +98,10 @@ class Stage:
             When a matrix is not finite or the shape is wrong; nobody is moved then.
         """
         numbers = self.index(which)
-        matrices = np.asarray(transforms, dtype=np.float64)
+        try:
+            matrices = np.asarray(transforms, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ValueError(f"transforms must be 4×4 matrices, not {shown(transforms)}") from None
         if matrices.shape not in ((4, 4), (len(numbers), 4, 4)):
             raise ValueError(f"transforms must be (4, 4) or ({len(numbers)}, 4, 4), not {matrices.shape}")
         if not np.isfinite(matrices).all():
@@ -120,11 +130,9 @@ class Stage:
             When a number is not finite or the shape is wrong; nobody is moved then.
         """
         numbers = self.index(which)
-        places, angles = np.asarray(positions, dtype=np.float64), np.asarray(headings, dtype=np.float64)
+        places, angles = finite(positions, "positions"), finite(headings, "headings")
         if places.shape not in ((3,), (len(numbers), 3)) or angles.shape not in ((), (len(numbers),)):
             raise ValueError(f"{len(numbers)} actors need positions (A, 3) and headings (A,), not {places.shape}")
-        if not (np.isfinite(places).all() and np.isfinite(angles).all()):
-            raise ValueError("positions and headings must be finite numbers")
         where: Any = slice(None) if which is None else numbers
         rows = np.zeros((len(numbers), 12), dtype=np.float32)
         rows[:, 0] = rows[:, 10] = np.cos(angles)

@@ -1,5 +1,9 @@
 """The exceptions of the runtime: a file is at fault, or something that was asked for cannot be drawn."""
 
+from __future__ import annotations
+
+from typing import Any, NoReturn
+
 REBUILD = "build the character again with python -m preprocess"  # what to do about a folder that is wrong
 
 
@@ -15,3 +19,17 @@ class RenderError(Exception):
 
     The message is one line (a shader's compile log follows it): what is wrong, with what, what to do.
     """
+
+
+class NotCopied:
+    """What lives in an OpenGL context: two copies would free each other's buffers, and a file cannot hold it."""
+
+    def __reduce_ex__(self, protocol: Any) -> NoReturn:
+        """Refuse `copy.copy`, `copy.deepcopy` and `pickle`.
+
+        Raises
+        ------
+        RenderError
+        """
+        kind = type(self).__name__
+        raise RenderError(f"a {kind} lives in its OpenGL context and cannot be copied or pickled: make another")

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from runtime.given import shown
 from runtime.skeleton import Skeleton
 
 Floats = NDArray[np.floating[Any]]
@@ -77,7 +78,10 @@ class JointsFromCode:
         """What a caller gave, checked."""
         if values is None:
             return None
-        given = np.asarray(values, dtype=np.float64)
+        try:
+            given = np.asarray(values, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ValueError(f"joints must be an array of numbers, not {shown(values)}") from None
         if given.shape != shape:
             raise ValueError(f"joints need shape {shape}, not {given.shape}: one entry a joint, NaN to leave one alone")
         if np.isinf(given).any():

@@ -9,7 +9,6 @@ Letters in shapes: R rows (capacity), A the actors asked for, L layers, P slots,
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from runtime.blend import add_pose, mix_poses, overlay_pose
 from runtime.clip import Clip
+from runtime.given import FASTEST, LONGEST_S, no_such, numbers, step_s, whole
 from runtime.joints_from_code import JointsFromCode
 from runtime.layers import Layer, make_layer
 from runtime.pose import Pose, rest_pose, sample, skinning_rows, wrap_times
@@ -127,10 +127,9 @@ class Mixer:
             for index, known in enumerate(self.clips):
                 if known.name == clip:
                     return index
-        elif 0 <= clip < len(self.clips):
+        elif whole(clip) and 0 <= clip < len(self.clips):
             return int(clip)
-        names = ", ".join(repr(known.name) for known in self.clips[:12]) or "no clips"
-        raise ValueError(f"no clip {clip!r}; the character has {names}")
+        raise no_such("clip", clip, [known.name for known in self.clips], "character")
 
     def add_layer(self, name: str, mode: str = "override", nodes: ArrayLike | None = None) -> int:
         """Add a layer on top of the others, for every row; its weight starts at 1.
@@ -163,9 +162,9 @@ class Mixer:
     def layer_index(self, layer: str | int) -> int:
         """Number of a layer given by name or number; ValueError when there is none."""
         for index, known in enumerate(self.layers):
-            if layer == known.name or (not isinstance(layer, str) and layer == index):
+            if layer == known.name or (whole(layer) and layer == index):
                 return index
-        raise ValueError(f"no layer {layer!r}; there are {', '.join(repr(known.name) for known in self.layers)}")
+        raise no_such("layer", layer, [known.name for known in self.layers], "character")
 
     def play(
         self,
@@ -190,8 +189,8 @@ class Mixer:
         loop : over and over, or once and hold the end
         layer : name or number
         """
-        if not (np.isfinite(fade_s) and np.isfinite(speed).all() and np.isfinite(time_s).all()):
-            raise ValueError("fade_s, speed and time_s must be finite numbers")
+        fade_s = float(numbers(fade_s, "fade_s"))
+        speed, time_s = numbers(speed, "speed", FASTEST), numbers(time_s, "time_s", LONGEST_S)
         rows = np.atleast_1d(np.asarray(rows, dtype=np.int64))
         which, index = self.layer_index(layer), self.clip_index(clip)
         slot = self._start_fade(rows, which, fade_s)
@@ -202,8 +201,7 @@ class Mixer:
 
     def stop(self, rows: ArrayLike, layer: str | int, *, fade_s: float = 0.0) -> None:
         """Silence a layer, within `fade_s` seconds."""
-        if not np.isfinite(fade_s):
-            raise ValueError("fade_s must be a finite number of seconds")
+        fade_s = float(numbers(fade_s, "fade_s"))
         rows, which = np.atleast_1d(np.asarray(rows, dtype=np.int64)), self.layer_index(layer)
         slot = self._start_fade(rows, which, fade_s)
         self._clip[rows, which, slot] = _SILENCE
@@ -234,8 +232,7 @@ class Mixer:
 
     def seek(self, rows: ArrayLike, time_s: float | Floats, layer: str | int = 0) -> None:
         """Move the clip of a layer that plays now to a time, seconds."""
-        if not np.isfinite(time_s).all():
-            raise ValueError("time_s must be a finite number of seconds")
+        time_s = numbers(time_s, "time_s", LONGEST_S)
         rows, which = np.atleast_1d(np.asarray(rows, dtype=np.int64)), self.layer_index(layer)
         self.flush(rows)
         self._time[rows, which, self._newest[rows, which]] = time_s
@@ -243,16 +240,14 @@ class Mixer:
 
     def set_speed(self, rows: ArrayLike, speed: float | Floats, layer: str | int = 0) -> None:
         """Set the speed of the clip of a layer that plays now."""
-        if not np.isfinite(speed).all():
-            raise ValueError("speed must be a finite number")
+        speed = numbers(speed, "speed", FASTEST)
         rows, which = np.atleast_1d(np.asarray(rows, dtype=np.int64)), self.layer_index(layer)
         self.flush(rows)
         self._speed[rows, which, self._newest[rows, which]] = speed
 
     def set_layer_weight(self, rows: ArrayLike, layer: str | int, weight: float | Floats) -> None:
         """Set how much a layer counts, 0 to 1. The base layer always counts fully."""
-        if not np.isfinite(weight).all():
-            raise ValueError("weight must be a finite number")
+        weight = numbers(weight, "a layer's weight")
         rows = np.atleast_1d(np.asarray(rows, dtype=np.int64))
         self._layer_weight[rows, self.layer_index(layer)] = np.clip(weight, 0, 1)
         self._dirty[rows] = True
@@ -288,16 +283,12 @@ class Mixer:
 
     def note_time(self, row: int, dt_s: float) -> None:
         """Let a row's clock run on by `dt_s`. Carried out when its state is next asked for."""
-        if not math.isfinite(dt_s):
-            raise ValueError(f"an actor cannot be updated by {dt_s} seconds; check the frame clock")
-        self._pending[row] += dt_s
+        self._pending[row] += step_s(dt_s, "an actor")
         self._dirty[row] = True
 
     def note_time_all(self, dt_s: float) -> None:
         """Let every row's clock run on by `dt_s`."""
-        if not math.isfinite(dt_s):
-            raise ValueError(f"actors cannot be updated by {dt_s} seconds; check the frame clock")
-        self._pending += dt_s
+        self._pending += step_s(dt_s, "actors")
         self._dirty[:] = True
 
     def moves_root(self, row: int, enabled: bool, turns: bool = False) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from runtime.errors import AssetError
+from runtime.given import no_such, shown, whole
 
 if TYPE_CHECKING:
     from runtime.gltf import Document
@@ -103,10 +104,10 @@ class Skeleton:
         """
         if isinstance(name, str):
             if name not in self.node_by_name:
-                raise ValueError(f"no node named {name!r}; the skeleton has {_shortened(self.names)}")
+                raise no_such("joint", name, self.names, "skeleton")
             return self.node_by_name[name]
-        if not 0 <= int(name) < self.num_nodes:
-            raise ValueError(f"no node {name}; the skeleton has {self.num_nodes} nodes")
+        if not whole(name) or not 0 <= int(name) < self.num_nodes:
+            raise ValueError(f"no joint {shown(name)}; the skeleton has {self.num_nodes}, counted from 0")
         return int(name)
 
     def descendants(self, name: str | int) -> NDArray[np.bool_]:
@@ -131,12 +132,6 @@ class Skeleton:
         assert np.allclose(np.linalg.norm(self.rotation, axis=1), 1.0)
         for array in (self.translation, self.rotation, self.scale, self.inverse_bind, self.root_transform):
             assert np.isfinite(array).all()
-
-
-def _shortened(names: Sequence[str], limit: int = 12) -> str:
-    """Names for a message, the first few of many."""
-    listed = ", ".join(repr(name) for name in names[:limit])
-    return listed + (f" and {len(names) - limit} more" if len(names) > limit else "")
 
 
 def rotation_matrices(quaternions: ArrayLike) -> NDArray[np.float64]:

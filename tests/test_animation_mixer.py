@@ -355,7 +355,7 @@ def test_misuse_says_what_to_do(walker: Any) -> None:
         (lambda: actor.play("walk", layer="tail"), "no layer 'tail'"),
         (lambda: actor.play("walk", speed=np.nan), "finite"),
         (lambda: actor.update(float("nan")), "frame clock"),
-        (lambda: actor.joint_transform("tail"), "no node named 'tail'"),
+        (lambda: actor.joint_transform("tail"), "no joint 'tail'"),
         (lambda: setattr(actor, "transform", np.full((4, 4), np.inf)), "finite 4×4"),
         (lambda: setattr(actor, "tint", (1, 2)), "three or four"),
         (lambda: Actor(walker, "fly"), "no clip"),

@@ -342,9 +342,9 @@ def test_misuse_says_what_to_do(ctx: Any, model: Any, picture: Any, renderer: An
         (lambda: crowd.play([0, 7, 0]), "no clip 7"),
         (lambda: crowd.play(0, phases_s=np.inf), "finite"),
         (lambda: crowd.update(float("inf")), "frame clock"),
-        (lambda: crowd.tint((1, 2)), "three or four"),
+        (lambda: crowd.tint((1, 2)), r"tints \(A, 3\)"),
         (lambda: crowd.show(True, [5]), "numbers 0 to 2"),
-        (lambda: Crowd(ctx, model, -1), "makes no sense"),
+        (lambda: Crowd(ctx, model, -1), "0 to 10,000,000 actors"),
         (lambda: Crowd(ctx, model, 1, clips=["fly"]), "no clip 'fly'"),
     ):
         with pytest.raises(ValueError, match=message):
