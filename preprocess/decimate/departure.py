@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from preprocess.decimate.jit import helper
 from preprocess.decimate.placement import pose_position
 from preprocess.decimate.rules import APEX_ROW, CHART, FIRST_WITNESS, FOLLOWING, GATHERED, ITS_CHART, WEIGHTS_ROW
@@ -17,6 +19,7 @@ from preprocess.decimate.witnesses import FIRST_POSE, POSE_STRIDE, SLIP_COLUMN
 # Columns of a row of the fan: the face, its chart, uv of its first corner, the two sides there, one over their
 # determinant, then the three corners in each pose. The first corner is the one that moves.
 FACE, FACE_CHART, ORIGIN, SIDES, INVERSE, CORNERS, CORNERS_STRIDE = 0, 1, 2, 4, 8, 9, 9
+NONE = np.int64(0)  # faces or witnesses so far (a NumPy integer: see quadrics.py)
 
 
 @helper
@@ -144,7 +147,7 @@ def _write_collapse(m, h, candidate):
     a, b = m.links[h, TAIL], m.links[t, TAIL]
     a0, a1, b0, b1 = m.links[h, WEDGE], m.links[next_of(t), WEDGE], m.links[next_of(h), WEDGE], m.links[t, WEDGE]
     place_apex(m, a, b, candidate[1], candidate[2], candidate[3])
-    rows, count = 0, 0
+    rows, count = NONE, NONE
     for start in (h, t):
         g = start
         while True:
@@ -154,7 +157,7 @@ def _write_collapse(m, h, candidate):
                 count = gather(m, f, count)
             if w >= 0 and not goes:
                 if rows == len(m.fan):
-                    return 0, 0
+                    return NONE, NONE
                 u, v = m.uv[w, 0], m.uv[w, 1]
                 if w in (a0, b0):
                     u, v = candidate[4], candidate[5]
@@ -172,7 +175,7 @@ def _write_collapse(m, h, candidate):
 def largest_departure(m, h, candidate):
     """Largest squared departure from the witnesses around an edge if it collapses onto a candidate; 0 for none."""
     rows, count = _write_collapse(m, h, candidate)
-    largest, guess = 0.0, 0
+    largest, guess = 0.0, NONE
     if rows > 0:
         for j in range(count):
             k = m.witnesses[j, GATHERED]
@@ -186,7 +189,7 @@ def largest_departure(m, h, candidate):
 @helper
 def hand_over(m, rows, count):
     """Put the gathered witnesses over the faces of the fan."""
-    guess = 0
+    guess = NONE
     for j in range(count):
         k = m.witnesses[j, GATHERED]
         found = find_face(m, k, m.witnesses[j, ITS_CHART], rows, guess)

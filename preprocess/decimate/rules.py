@@ -28,6 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from preprocess.decimate.by_reference import by_reference
 from preprocess.decimate.jit import helper
 from preprocess.decimate.topology import TAIL, TWIN, WEDGE, next_of, previous_of
 
@@ -55,10 +56,11 @@ BEST, ALL = np.int64(0), np.int64(1)
 FORGET, RETRY = np.int64(0), np.int64(1)
 
 
+@by_reference
 class Mesh(NamedTuple):
     """Everything a run changes, in normalised units. V vertices, W wedges, F' faces with the virtual ones, P poses.
 
-    Few arrays with named columns: a helper's arguments cost compile time, and each array is seven of them.
+    Few arrays with named columns: every use of one in a kernel costs compile time.
 
     Attributes
     ----------
