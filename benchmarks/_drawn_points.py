@@ -55,6 +55,20 @@ def _turned(corners: Ints) -> tuple[Ints, Ints]:
     return np.take_along_axis(corners, (turns[:, None] + np.arange(3)) % 3, axis=1), turns
 
 
+def _places(mesh: SkinnedMesh) -> Ints:
+    """Number of each vertex's place, (V,): those split to make the mesh manifold, and layers that touch, share one."""
+    rounded = np.round(mesh.surface.positions / mesh.surface.diagonal_m, 7)
+    return np.unique(rounded, axis=0, return_inverse=True)[1].ravel()
+
+
+def single_faces(mesh: SkinnedMesh) -> Ints:
+    """Faces that are the only one where they are: of two in one place nobody can say which is seen."""
+    _, face, count = np.unique(
+        np.sort(_places(mesh)[mesh.surface.faces], axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    return np.flatnonzero(count[face.ravel()] == 1)
+
+
 def _nearest_on_triangles(points: Floats, triangles: Floats) -> tuple[Ints, Floats]:
     """The nearest of a few triangles (T, 3, 3) to each point (N, 3), and where on it."""
     edge_b, edge_c = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
@@ -71,7 +85,7 @@ def _nearest_on_triangles(points: Floats, triangles: Floats) -> tuple[Ints, Floa
 
 
 def find_drawn_points(asset: Asset, mesh: SkinnedMesh, faces: Ints, shares: Floats) -> DrawnPoints:
-    """Find points of the source's surface on the finest level.
+    """Find points of the source's surface on the finest level; only on faces that are the only one in their place.
 
     Parameters
     ----------
@@ -88,10 +102,7 @@ def find_drawn_points(asset: Asset, mesh: SkinnedMesh, faces: Ints, shares: Floa
     positions, weights = fetched_vertices(asset)
     _, point = np.unique(level.owner_uvs, axis=0, return_inverse=True)
     point = point.ravel()
-    # Source vertices in one place, split to make the mesh manifold, are one place.
-    dense = mesh.dense_weights(asset.num_joints)
-    _, place = np.unique(np.round(mesh.surface.positions / mesh.surface.diagonal_m, 7), axis=0, return_inverse=True)
-    place = place.ravel()
+    dense, place = mesh.dense_weights(asset.num_joints), _places(mesh)
     of_vertex = place[_classes(positions, weights, mesh, dense)][point]
     drawn, drawn_turns = _turned(of_vertex[triangles])
     wanted, wanted_turns = _turned(place[mesh.surface.faces])

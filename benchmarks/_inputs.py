@@ -89,15 +89,11 @@ def source_files(chosen: Sequence[Path] | None, names: Iterable[str], option: st
     return found
 
 
-def source_of(asset: Asset, sources: Path) -> Path:
-    """The file that a character was built from, in a folder of sources or beside what was built.
-
-    Raises
-    ------
-    MissingInput
-    """
+def source_of(asset: Asset, sources: Path) -> Path | None:
+    """The file a character was built from, among sources or beside what was built; where there is none, a line says so."""
     name = asset.manifest.json["source"]["file"]
     for folder in (sources, asset.path.resolve().parent):
         if (folder / name).is_file():
             return folder / name
-    raise MissingInput(f"{asset.path.name} was built from {name}, which is not in {sources}: give --sources FOLDER")
+    print(f"({asset.path.name} was built from {name}, which is not in {sources}: give --sources FOLDER)", flush=True)
+    return None

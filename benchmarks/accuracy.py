@@ -122,8 +122,9 @@ def run(argv: list[str]) -> list[dict[str, Any]]:
         memory.append(
             {**name, "position px": size, "weights px": "{}x{}".format(*asset.weight_size), **measure_memory(asset)}
         )
-        character = load_character(source_of(asset, options.sources))
-        errors.append({**name, **measure_errors(asset, character, options.moments)})
+        source = source_of(asset, options.sources)
+        if source is not None:
+            errors.append({**name, **measure_errors(asset, load_character(source), options.moments)})
     print_table(errors)
     print()
     print_table(memory)

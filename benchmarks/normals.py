@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks._drawn_points import DrawnPoints, find_drawn_points
+from benchmarks._drawn_points import DrawnPoints, find_drawn_points, single_faces
 from benchmarks._inputs import ASSETS, BUILT_HELP, built_characters, command_line, source_of
 from benchmarks._source_normals import SourceNormals, cofactors, unit
 from benchmarks._table import print_table
@@ -39,11 +39,11 @@ EDGE_PX = 1.5
 
 def pick_points(character: Character, count: int) -> tuple[np.ndarray, Floats]:
     """Faces (N,) and barycentric coordinates (N, 3), even over the surface."""
-    surface = character.mesh.surface
-    corners = surface.positions[surface.faces]
+    surface, faces = character.mesh.surface, single_faces(character.mesh)
+    corners = surface.positions[surface.faces[faces]]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     rng = np.random.default_rng(0)
-    return rng.choice(len(area), count, p=area / area.sum()), rng.dirichlet((1, 1, 1), count)
+    return faces[rng.choice(len(area), count, p=area / area.sum())], rng.dirichlet((1, 1, 1), count)
 
 
 class DrawnNormals:
@@ -158,9 +158,9 @@ def measure_clips(
 
 def measure(asset: Asset, character: Character, num_points: int, moments: int) -> tuple[dict[str, Any], dict[str, Any]]:
     """A row at rest and one of clips."""
-    num_faces = character.mesh.num_faces
+    faces = single_faces(character.mesh)
     points = Comparison(asset, character, *pick_points(character, num_points))
-    corners = Comparison(asset, character, np.repeat(np.arange(num_faces), 3), np.tile(np.eye(3), (num_faces, 1)))
+    corners = Comparison(asset, character, np.repeat(faces, 3), np.tile(np.eye(3), (len(faces), 1)))
     return measure_rest(asset, points), measure_clips(asset, character, points, corners, moments)
 
 
@@ -177,6 +177,8 @@ def run(argv: list[str]) -> list[dict[str, Any]]:
     for folder in built_characters(options.built):
         asset = load(folder)
         source = source_of(asset, options.sources)
+        if source is None:
+            continue
         for table, row in zip(
             (at_rest, posed), measure(asset, load_character(source), options.points, options.moments), strict=True
         ):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from builders_gltf import cube, grid
 
-from benchmarks._drawn_points import find_drawn_points
+from benchmarks._drawn_points import find_drawn_points, single_faces
 from benchmarks._source_normals import SourceNormals, cofactors, mikk_tangents, sample_texture, unit, wrap
 from benchmarks.accuracy import fetched_vertices
 from benchmarks.normals import measure, pick_points
@@ -99,7 +99,7 @@ def test_points_are_found_where_they_are_drawn(
     name: str, built: Callable[[str], Path], asset_path: Callable[[str], Path]
 ) -> None:
     asset, mesh = load(built(name)), load_character(asset_path(name)).mesh
-    faces = np.repeat(np.arange(mesh.num_faces), 5)
+    faces = np.repeat(single_faces(mesh), 5)
     shares = RNG.dirichlet((1, 1, 1), len(faces))
     points = find_drawn_points(asset, mesh, faces, shares)
     wanted = np.einsum("nk,nki->ni", shares, mesh.surface.positions[mesh.surface.faces[faces]])
