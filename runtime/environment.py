@@ -1,7 +1,10 @@
-"""Light: one sun, and all that comes from around as nine harmonics (diffuse) and a small reflection map.
+"""Light: one sun, and all that comes from around, mirrored and on a white sheet, as small maps by direction.
+
+The maps are octahedra laid flat, which a shader finds its way in without trigonometry; what lies beyond their edges
+repeats the other side, so that filtering sees no seam. Light on a white sheet comes from nine harmonics.
 
 Sources: Ramamoorthi and Hanrahan 2001 (irradiance from nine spherical harmonics); Karis 2013 (a radiance map filtered
-a level a roughness). The reflection map is a longitude-latitude image of six levels.
+a level a roughness); Engelhardt and Dachsbacher 2008 (octahedral maps).
 """
 
 from __future__ import annotations
@@ -15,8 +18,25 @@ from numpy.typing import ArrayLike, NDArray
 from runtime.errors import RenderError
 
 NUM_LEVELS = 6  # roughness of level k is (k / 5)^2 (shaders/include/lighting.glsl)
-BASE_SIZE = (128, 256)  # rows, columns of level 0
+MAP_SIZE = 192  # a side of level 0
+REACH = 5 / 6  # of it belongs to the octahedron; the rest is half a texel a side at the last level
+PANORAMA_SIZE = (128, 256)  # rows, columns that a panorama is brought to
 FILTER_SIZE = (32, 64)  # what the rough levels are filtered from
+
+
+def map_directions(size: int) -> NDArray[np.float64]:
+    """Unit vectors (size, size, 3) of an octahedral map's texels: x along columns, z along rows, +Y in the middle."""
+    places = ((np.arange(size) + 0.5) / size * 2 - 1) / REACH
+    x, z = np.meshgrid(places, places)
+    for one, other in ((x, z), (z, x)):  # over an edge: back on the same side, mirrored
+        beyond = np.abs(one) > 1
+        one[beyond] = np.sign(one[beyond]) * 2 - one[beyond]
+        other[beyond] *= -1
+    y = 1 - np.abs(x) - np.abs(z)
+    folded = (1 - np.abs(z)) * np.where(x < 0, -1, 1), (1 - np.abs(x)) * np.where(z < 0, -1, 1)
+    below = y < 0
+    directions = np.stack([np.where(below, folded[0], x), y, np.where(below, folded[1], z)], axis=-1)
+    return np.asarray(directions / np.linalg.norm(directions, axis=-1, keepdims=True))
 
 
 def _directions(rows: int, columns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -44,7 +64,7 @@ def _resample(image: NDArray[np.float64], rows: int, columns: int) -> NDArray[np
 
 
 def _irradiance(image: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Coefficients (9, 3) of irradiance / pi in the polynomials that lighting.glsl writes out."""
+    """Coefficients (9, 3) of irradiance / pi in the polynomials of `diffuse_light`."""
     directions, solid_angle = _directions(*image.shape[:2])
     x, y, z = np.moveaxis(directions, -1, 0)
     basis = np.stack([
@@ -57,9 +77,28 @@ def _irradiance(image: NDArray[np.float64]) -> NDArray[np.float64]:
     return moments * (cosine_lobe * factors)[:, None]
 
 
-def _filtered(image: NDArray[np.float64], rows: int, columns: int, roughness: float) -> NDArray[np.float64]:
+def _looked_up(image: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A panorama's radiance in directions (..., 3), blended between its texels."""
+    rows, columns = image.shape[:2]
+    down = np.arccos(np.clip(directions[..., 1], -1, 1)) / np.pi * rows - 0.5
+    across = (np.arctan2(directions[..., 0], -directions[..., 2]) / (2 * np.pi) + 0.5) * columns - 0.5
+    row, column = np.floor(down).astype(int), np.floor(across).astype(int)
+    lower, right = (down - row)[..., None], (across - column)[..., None]
+    above, below = np.clip(row, 0, rows - 1), np.clip(row + 1, 0, rows - 1)
+    here, beside = column % columns, (column + 1) % columns
+    upper_texels = image[above, here] * (1 - right) + image[above, beside] * right
+    lower_texels = image[below, here] * (1 - right) + image[below, beside] * right
+    return np.asarray(upper_texels * (1 - lower) + lower_texels * lower)
+
+
+def _halved(image: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Average of every 2 x 2 texels."""
+    return _shrink(image, image.shape[0] // 2, image.shape[1] // 2)
+
+
+def _filtered(image: NDArray[np.float64], size: int, roughness: float) -> NDArray[np.float64]:
     """What a surface of this roughness mirrors, by direction: GGX around it, seen head on, weighted by the cosine."""
-    directions, _ = _directions(rows, columns)
+    directions = map_directions(size)
     lights, solid_angle = _directions(*image.shape[:2])
     cosine = directions.reshape(-1, 3).astype(np.float32) @ lights.reshape(-1, 3).T.astype(np.float32)
     n_dot_h_sq = (1 + cosine) / 2  # view = normal
@@ -67,7 +106,7 @@ def _filtered(image: NDArray[np.float64], rows: int, columns: int, roughness: fl
     lobe = np.maximum(cosine, 0) / np.square(n_dot_h_sq * (alpha_sq - 1) + 1)
     lobe *= np.repeat(solid_angle, image.shape[1]).astype(np.float32)
     filtered = (lobe @ image.reshape(-1, 3).astype(np.float32)) / lobe.sum(axis=1, keepdims=True)
-    return filtered.reshape(rows, columns, 3).astype(np.float64)
+    return filtered.reshape(size, size, 3).astype(np.float64)
 
 
 @dataclass(frozen=True)
@@ -78,9 +117,8 @@ class Environment:
     ----------
     irradiance : (9, 3) float64
         Coefficients of the diffuse light, as the radiance of a white sheet.
-    levels : tuple of 6 arrays (128 >> k, 256 >> k, 3) float64
-        Radiance by direction, longitude by latitude, the top row up, the middle column towards -Z; level k for the
-        roughness (k / 5)^2.
+    levels : tuple of 6 arrays (192 >> k, 192 >> k, 3) float64
+        Mirrored radiance in the directions of `map_directions`; level k for the roughness (k / 5)^2.
     """
 
     irradiance: NDArray[np.float64]
@@ -98,14 +136,19 @@ class Environment:
         image = np.asarray(radiance, np.float64)
         if image.ndim != 3 or image.shape[2] < 3 or 0 in image.shape or not np.isfinite(image).all():
             raise RenderError(f"an environment must be an image (H, W, 3) of finite radiance, not {image.shape}")
-        full = _resample(image[:, :, :3], *BASE_SIZE)
+        full = _resample(image[:, :, :3], *PANORAMA_SIZE)
         small = _shrink(full, *FILTER_SIZE)
-        rows, columns = BASE_SIZE
-        levels = [full, _shrink(full, rows // 2, columns // 2)]
+        sharp = _looked_up(full, map_directions(MAP_SIZE))
+        levels = [sharp, _halved(sharp)]
         for level in range(2, NUM_LEVELS):
-            roughness = (level / (NUM_LEVELS - 1)) ** 2
-            levels.append(_filtered(small, rows >> level, columns >> level, roughness))
+            levels.append(_filtered(small, MAP_SIZE >> level, (level / (NUM_LEVELS - 1)) ** 2))
         return Environment(_irradiance(small), tuple(levels))
+
+    def diffuse_light(self, directions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Radiance (..., 3) of a white sheet that faces a direction, unit vectors (..., 3)."""
+        x, y, z = np.moveaxis(directions, -1, 0)
+        basis = np.stack([np.ones_like(x), y, z, x, x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y], axis=-1)
+        return np.asarray(np.maximum(basis @ self.irradiance, 0.0))
 
     @staticmethod
     def uniform(color: ArrayLike = (1.0, 1.0, 1.0)) -> Environment:
@@ -116,7 +159,7 @@ class Environment:
     @lru_cache(maxsize=1)
     def studio() -> Environment:
         """A bright room: a soft ceiling, a cool window at one side, a warm bounce from the floor."""
-        directions, _ = _directions(*BASE_SIZE)
+        directions, _ = _directions(*PANORAMA_SIZE)
         height = directions[..., 1:2]
         ceiling, wall, floor = (
             np.array(color) for color in ((0.95, 0.98, 1.05), (0.42, 0.43, 0.46), (0.20, 0.175, 0.155))

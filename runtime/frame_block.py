@@ -9,12 +9,14 @@ import moderngl
 import numpy as np
 
 from runtime.camera import CameraMatrices
-from runtime.environment import Lighting
+from runtime.environment import Lighting, map_directions
+from runtime.gl_state import allocate_mips, write_rows
 from runtime.gpu_textures import TEXTURE_UNITS
 from runtime.lod import Quality
 
 FRAME_BINDING = 0
-FRAME_ROWS = 18  # vec4 in the block
+FRAME_ROWS = 9  # vec4 in the block
+RGB9_E5 = 0x8C3D  # three channels that share an exponent, in 32 bits: half as long to filter as half floats
 MAX_FACTOR = 64.0  # every OpenGL with tessellation has it
 
 
@@ -36,16 +38,21 @@ class FrameBlock:
         self.upload_lighting(lighting)
 
     def upload_lighting(self, lighting: Lighting) -> None:
-        """Fill the map of reflections."""
-        levels = [level.astype(np.float16) for level in lighting.environment.levels]
+        """Fill the map of light by direction: mirrored light above, in all levels, and light on a white sheet below."""
+        environment = lighting.environment
+        upper = [level.astype(np.float32) for level in environment.levels]
+        diffuse = environment.diffuse_light(map_directions(len(upper[0]))).astype(np.float32)
+        levels = [np.concatenate([half, diffuse if level == 0 else half]) for level, half in enumerate(upper)]
         if self._reflection is None:
             rows, columns = levels[0].shape[:2]
-            self._reflection = self.ctx.texture((columns, rows), 3, levels[0].tobytes(), alignment=1, dtype="f2")
-            self._reflection.build_mipmaps(0, len(levels) - 1)
+            self._reflection = self.ctx.texture((columns, rows), 3, dtype="f4", internal_format=RGB9_E5)
+            self._reflection.use(self.ctx.default_texture_unit)
+            allocate_mips((columns, rows), len(levels) - 1)
             self._reflection.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
-            self._reflection.repeat_x, self._reflection.repeat_y = True, False
+            self._reflection.repeat_x = self._reflection.repeat_y = False
+        self._reflection.use(self.ctx.default_texture_unit)
         for level, texels in enumerate(levels):
-            self._reflection.write(texels.tobytes(), level=level, alignment=1)
+            write_rows(texels, level, 0)
 
     def write(
         self, matrices: CameraMatrices, size_px: tuple[int, int], lighting: Lighting, quality: Quality, factor: float
@@ -59,9 +66,8 @@ class FrameBlock:
             sun = np.asarray(lighting.sun_direction, np.float64)
             frame[6, :3] = sun / max(float(np.linalg.norm(sun)), 1e-30)
             frame[7] = *lighting.sun_color, lighting.exposure
-            frame[8:17, :3] = lighting.environment.irradiance
             self._written = lighting
-        frame[17] = quality.segment_px, MAX_FACTOR, factor, quality.texels_a_segment
+        frame[8] = quality.segment_px, MAX_FACTOR, factor, quality.texels_a_segment
         self._block.write(frame)
 
     def bind(self) -> None:

@@ -12,7 +12,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.asset import Asset, TextureData
+from runtime.asset import Asset
 from runtime.errors import RenderError
 from runtime.gl_state import saved_state
 from runtime.gpu_levels import GpuLod, Levels
@@ -89,7 +89,8 @@ class Model:
         self._owned: list[Any] = []
         self._joint_texture: moderngl.Texture | None = None
         self.textures: dict[str, moderngl.Texture] = {}
-        self.levels = Levels(ctx, asset)
+        self.channels = prepared.channels
+        self.levels = Levels(ctx, asset, self.channels.materials)
         self._check_limits()
         self._uploads: Iterator[None] | None = self._upload_all(prepared)
         while not in_slices and self.upload_slice():
@@ -141,20 +142,18 @@ class Model:
             exact["joint_records"] = cells.joints
         filtered: dict[str, tuple[NDArray[Any], ...]] = {"position_texture": (prepared.position_texels,)}
         for name in ("normal", "base_color", "orm", "emissive"):
-            filtered[f"{name}_texture"] = (asset.textures.get(name) or TextureData(name, (_WHITE,))).levels
+            filtered[f"{name}_texture"] = self.channels.textures.get(name, (_WHITE,))
         for name, levels in filtered.items():
             self.textures[name] = self._keep(make_texture(self.ctx, levels[0], levels[1:]))
             yield from fill_texture(self.ctx, self.textures[name], levels)
         for name, texels in exact.items():
             self.textures[name] = self._keep(make_texture(self.ctx, texels, linear=False))
             yield from fill_texture(self.ctx, self.textures[name], (texels,))
-        integer_normals = asset.textures["normal"].levels[0].dtype.kind == "u"
         self.constants: dict[str, Any] = {
             "position_scale": tuple(prepared.position_scale),
             "position_offset": tuple(prepared.position_offset),
             "weight_size": asset.weight_size,
             "first_divided_record": cells.first_divided,
-            "normal_decode": (2.0, -1.0) if integer_normals else (1.0, 0.0),
             "box_min": tuple(asset.manifest.bind_bounds[0]),
             "box_size": tuple(asset.manifest.bind_bounds[1] - asset.manifest.bind_bounds[0]),
         }
@@ -174,6 +173,7 @@ class Model:
         return {
             **({} if self.weight_cells.joints is None else {"WIDE_JOINTS": 1}),
             **({"COLOR_AT_NORMAL_UV": 1} if self.asset.colors_moved else {}),
+            **({"FLOAT_NORMALS": 1} if self.asset.textures["normal"].levels[0].dtype.kind == "f" else {}),
         }
 
     def joint_texture(self, joint_texels: NDArray[np.float32]) -> moderngl.Texture:
@@ -243,10 +243,10 @@ class Model:
             "position": total("position_texture"),
             "weights": total("weight_cells", "weight_records", "joint_records"),
             "levels": sum(lod.nbytes for lod in self.lods),
-            "normal": sum(level.nbytes for level in self.asset.textures["normal"].levels),
+            "normal": sum(level.nbytes for level in self.channels.textures["normal"]),
             "colors": sum(
-                level.nbytes for name in ("base_color", "orm", "emissive") if name in self.asset.textures
-                for level in self.asset.textures[name].levels
+                level.nbytes for name in ("base_color", "orm", "emissive")
+                for level in self.channels.textures.get(name, ())
             ),
         }  # fmt: skip
 

@@ -142,10 +142,12 @@ class Levels:
     ----------
     ctx : moderngl.Context
     asset : Asset
+    materials : tuple of MaterialData
+        In place of the asset's.
     """
 
-    def __init__(self, ctx: moderngl.Context, asset: Asset) -> None:
-        self.ctx, self.asset = ctx, asset
+    def __init__(self, ctx: moderngl.Context, asset: Asset, materials: tuple[MaterialData, ...]) -> None:
+        self.ctx, self.asset, self.materials = ctx, asset, materials
         self.lods: tuple[GpuLod, ...] = ()
         self.errors_m = self.divided_errors_m = np.zeros(0)  # as they are, and at most when tessellated
         self._attributes = vertex_attributes(asset.lods)
@@ -164,7 +166,7 @@ class Levels:
         """Add the next level."""
         lod = GpuLod(
             mesh=mesh,
-            groups=draw_groups(mesh, self.asset.materials),
+            groups=draw_groups(mesh, self.materials),
             vertices=self._keep(vertex_bytes(mesh, self._attributes)),
             indices=self._keep(index_bytes(mesh, mesh.triangles)),
             index_size=2 if len(mesh.uvs) <= 0xFFFF else 4,

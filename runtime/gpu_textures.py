@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from runtime.asset import Asset
 from runtime.errors import RenderError
 from runtime.gl_state import allocate_mips, write_rows
+from runtime.material_channels import MaterialChannels, arrange_channels
 from runtime.touched_cells import touched_cells
 from runtime.weight_cells import WeightCells, build_weight_cells
 
@@ -89,6 +90,7 @@ class Prepared:
     position_scale, position_offset : (3,) float64
         Metres are texels times scale plus offset.
     weight_cells : WeightCells
+    channels : MaterialChannels
     """
 
     asset: Asset
@@ -96,6 +98,7 @@ class Prepared:
     position_scale: NDArray[np.float64]
     position_offset: NDArray[np.float64]
     weight_cells: WeightCells
+    channels: MaterialChannels
 
 
 def _position_texels(texels: NDArray[Any], form: str) -> tuple[NDArray[Any], NDArray[np.float64], NDArray[np.float64]]:
@@ -126,7 +129,7 @@ def prepare(asset: Asset, position_format: str = "unorm16") -> Prepared:
     cells = build_weight_cells(
         asset.textures["weights"].levels[0], asset.weight_size, asset.num_joints, asset.weight_details, _touched(asset)
     )
-    return Prepared(asset, texels, scale, offset, cells)
+    return Prepared(asset, texels, scale, offset, cells, arrange_channels(asset))
 
 
 def _touched(asset: Asset) -> NDArray[np.bool_]:

@@ -198,8 +198,13 @@ def what_it_lacks(model: Model, material: MaterialData) -> tuple[str, ...]:
     """Preprocessor definitions that leave out of a program what a material does without (surface.glsl)."""
     return (
         *(("NO_CUTOUT",) if material.alpha_mode != "MASK" else ()),
+        *(("NO_BLEND",) if material.alpha_mode != "BLEND" else ()),
+        *(("NO_FACTOR",) if material.base_color_factor == (1.0, 1.0, 1.0, 1.0) else ()),
         *(("NO_EMISSION",) if not any(material.emissive_factor) else ()),
-        *(("NO_ORM",) if "orm" not in model.asset.textures else ()),
+        *(("NO_METAL",) if not material.metallic_factor else ()),
+        *(("ONE_SIDED",) if not material.double_sided else ()),
+        *(("UNLIT",) if material.unlit else ()),
+        *model.channels.defines,
     )
 
 
@@ -243,7 +248,6 @@ def start_lines(gl: Functions) -> None:
 
 def set_material(program: moderngl.Program, material: MaterialData, blends: bool) -> None:
     """Uniforms of one material, those that the program has."""
-    is_blended = material.alpha_mode == "BLEND" and blends
     values: dict[str, Any] = {
         "base_color_factor": material.base_color_factor,
         "surface_factors": (
@@ -253,6 +257,6 @@ def set_material(program: moderngl.Program, material: MaterialData, blends: bool
             material.alpha_cutoff if material.alpha_mode == "MASK" else -1.0,
         ),
         "emissive_factor": material.emissive_factor,
-        "surface_flags": int(is_blended) | 2 * int(material.unlit),
+        "surface_blended": material.alpha_mode == "BLEND" and blends,
     }
     set_uniforms(program, values)

@@ -5,7 +5,7 @@ out vec4 result;
 
 void main() {
     vec4 encoded = encoded_base_color();
-    vec3 factor = base_color_factor.rgb * surface_tint.rgb;
+    vec3 factor = color_factor();
     if (factor != vec3(1.0)) {
         encoded.rgb = encode_srgb(decode_srgb(encoded.rgb) * factor);
     }

@@ -38,7 +38,7 @@ out vec2 surface_normal_uv;
 out vec3 surface_position;
 out mat3 surface_normal_matrix;
 out vec3 surface_rest;
-out vec4 surface_tint;
+flat out vec4 surface_tint;
 flat out int surface_level;
 #ifdef SHOW_WEIGHTS
 out vec3 surface_joint_color;

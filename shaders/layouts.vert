@@ -13,7 +13,7 @@ out vec2 surface_uv;
 out vec3 surface_position;
 out mat3 surface_normal_matrix;
 out vec3 surface_rest;
-out vec4 surface_tint;
+flat out vec4 surface_tint;
 flat out int surface_level;
 
 #ifdef LAYOUT_LISTS

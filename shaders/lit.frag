@@ -4,7 +4,11 @@
 out vec4 result;
 
 void main() {
+#ifdef UNLIT
+    vec4 encoded = encoded_base_color();
+    result = vec4(encode_srgb(decode_srgb(encoded.rgb) * color_factor()), encoded.a);
+#else
     Surface s = read_surface();
-    vec3 radiance = shade(s);
-    result = vec4(s.unlit ? encode_srgb(radiance) : tone_map(radiance), s.base_color.a);
+    result = vec4(tone_map(shade(s)), s.base_color.a);
+#endif
 }

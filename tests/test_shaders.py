@@ -27,7 +27,15 @@ VARIANTS: dict[str, list[dict[str, str | int]]] = {
     "crowd.vert": [{}, {"EIGHT_JOINTS": 1}, {"PLACED": 1}, {"SHOW_WEIGHTS": 1}],
 }
 NORMALS, STEPS, WIDE = {"NORMAL_UV": 1}, {"UV_STEPS": 1, "OWNER_STEPS": 1}, {"WIDE_JOINTS": 1}
-LACKS = [{"NO_CUTOUT": 1}, {"NO_CUTOUT": 1, "NO_EMISSION": 1}, {"NO_CUTOUT": 1, "NO_EMISSION": 1, "NO_ORM": 1}]
+SOLID = {"NO_CUTOUT": 1, "NO_BLEND": 1, "NO_EMISSION": 1}
+LACKS = [
+    {"NO_CUTOUT": 1},
+    {"UNLIT": 1, "NO_BLEND": 1},
+    {**SOLID, "ONE_SIDED": 1, "FLOAT_NORMALS": 1},
+    {**SOLID, "NO_ORM": 1, "ROUGHNESS_IN_COLOR": 1, "METALLIC_IN_NORMAL": 1, "NO_OCCLUSION": 1},
+    {**SOLID, "NO_ORM": 1, "OCCLUSION_IN_NORMAL": 1, "NO_METAL": 1, "NO_FACTOR": 1},
+    {**SOLID, "NO_ORM": 1, "NO_OCCLUSION": 1, "NO_METAL": 1, "NO_FACTOR": 1, "ONE_SIDED": 1},
+]
 STAGE_FILES = sorted(path.name for path in SHADERS.iterdir() if path.suffix[1:] in SHADER_STAGES)
 
 

@@ -9,7 +9,6 @@ layout(std140) uniform Frame {
     vec4 viewport_px;     // width, height, pixels a metre at depth one, 1 where the projection is perspective
     vec4 sun_direction;   // xyz: unit vector towards the sun
     vec4 sun_color;       // rgb: radiance of a white sheet facing it; w: exposure
-    vec4 irradiance[9];   // rgb: ambient light as spherical harmonics of the irradiance, divided by pi
     vec4 tessellation;    // wanted segment in pixels, largest factor, fixed factor (0: adaptive), texels a segment
 };
 

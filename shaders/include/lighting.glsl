@@ -1,30 +1,38 @@
 // glTF's metallic-roughness model under one directional light and an environment.
 //
 // Sources: glTF 2.0 specification, appendix B (the model); Walter et al. 2007 (GGX); Heitz 2014 (height-correlated
-// masking); Ramamoorthi and Hanrahan 2001 (irradiance by nine spherical harmonics); Karis 2013 (reflection as
-// prefiltered radiance times an integral of the BRDF alone; the fit of that integral below is ours).
+// masking); Karis 2013 (reflection as prefiltered radiance times an integral of the BRDF alone; the fit of that integral
+// below is ours); Engelhardt and Dachsbacher 2008 (octahedral maps); Lagarde and de Rousiers 2014 (specular occlusion).
 #ifndef LIGHTING_GLSL
 #define LIGHTING_GLSL
 
 #include "surface.glsl"
 
-uniform sampler2D reflection_texture;  // radiance by direction (longitude, latitude); six levels by roughness
-const float PI = 3.14159265;
+// Light by direction, on octahedra: mirrored light in the upper half, six levels by roughness; in the lower half the
+// light from all around on a white sheet (runtime/environment.py).
+uniform sampler2D reflection_texture;
+const float REFLECTION_LEVELS = 6.0;
+const float OCTAHEDRON_REACH = 5.0 / 6.0;  // of a half: what is beyond repeats the other side of an edge
+
+// Place of a direction, of any length, on an octahedron laid flat: -1 to 1, the edges below +Y folded outwards.
+vec2 octahedron_place(vec3 direction) {
+    vec3 reach = abs(direction);
+    vec2 place = direction.xz / (reach.x + reach.y + reach.z);
+    vec2 beyond = 1.0 - abs(place.yx);
+    vec2 folded = mix(beyond, -beyond, lessThan(place, vec2(0.0)));
+    return direction.y < 0.0 ? folded : place;
+}
 
 // Light from all around on a diffuse surface of this normal, as the radiance of a white sheet.
-vec3 environment_diffuse(vec3 n) {
-    vec3 sum = irradiance[0].rgb
-        + irradiance[1].rgb * n.y + irradiance[2].rgb * n.z + irradiance[3].rgb * n.x
-        + irradiance[4].rgb * (n.x * n.y) + irradiance[5].rgb * (n.y * n.z)
-        + irradiance[6].rgb * (3.0 * n.z * n.z - 1.0)
-        + irradiance[7].rgb * (n.x * n.z) + irradiance[8].rgb * (n.x * n.x - n.y * n.y);
-    return max(sum, 0.0);
+vec3 environment_diffuse(vec3 normal) {
+    vec2 place = octahedron_place(normal);
+    return textureLod(reflection_texture, place * vec2(0.5, 0.25) * OCTAHEDRON_REACH + vec2(0.5, 0.75), 0.0).rgb;
 }
 
 vec3 environment_reflection(vec3 direction, float roughness) {
-    vec2 uv = vec2(atan(direction.x, -direction.z) / (2.0 * PI) + 0.5, acos(clamp(direction.y, -1.0, 1.0)) / PI);
-    const float levels = 6.0;
-    return textureLod(reflection_texture, uv, sqrt(roughness) * (levels - 1.0)).rgb;
+    vec2 place = octahedron_place(direction);
+    float level = sqrt(roughness) * (REFLECTION_LEVELS - 1.0);
+    return textureLod(reflection_texture, place * vec2(0.5, 0.25) * OCTAHEDRON_REACH + vec2(0.5, 0.25), level).rgb;
 }
 
 // Scale and bias of the reflectance at normal incidence, after the BRDF is integrated over a constant environment: a fit
@@ -36,24 +44,31 @@ vec2 reflected_share(float n_dot_v, float roughness) {
     return vec2(max(total - bias, 0.0), max(bias, 0.0));
 }
 
+// Radiance that the sun's light gives. With half vector h of the unit vectors l and v, |l + v|^2 = 2 (1 + l.v), so that
+// (n.h)^2 and (v.h)^2 need no normalising; distribution and masking share one division.
 vec3 light_directly(Surface s, vec3 diffuse_color, vec3 f0) {
     vec3 to_light = sun_direction.xyz;
-    vec3 half_way = normalize(to_light + s.view);
     float n_dot_l = max(dot(s.normal, to_light), 0.0);
     float n_dot_v = max(abs(dot(s.normal, s.view)), 1e-3);
-    float n_dot_h = clamp(dot(s.normal, half_way), 0.0, 1.0);
-    float v_dot_h = clamp(dot(s.view, half_way), 0.0, 1.0);
+    float sum_sq = max(2.0 + 2.0 * dot(to_light, s.view), 1e-4);
+    float n_dot_sum = max(dot(s.normal, to_light + s.view), 0.0);
     float alpha = s.roughness * s.roughness;
     float alpha_sq = alpha * alpha;
-    float lobe = n_dot_h * n_dot_h * (alpha_sq - 1.0) + 1.0;
-    float distribution = alpha_sq / (PI * lobe * lobe);
-    float visibility = 0.5 / max(
-        n_dot_l * sqrt(n_dot_v * n_dot_v * (1.0 - alpha_sq) + alpha_sq)
-        + n_dot_v * sqrt(n_dot_l * n_dot_l * (1.0 - alpha_sq) + alpha_sq), 1e-5);
-    float grazing = 1.0 - v_dot_h;
-    vec3 fresnel = f0 + (1.0 - f0) * (grazing * grazing * (grazing * grazing) * grazing);
-    vec3 reflected = fresnel * (distribution * visibility * PI);  // sun_color is in units of a white sheet's radiance
-    return (diffuse_color * (1.0 - fresnel) + reflected) * sun_color.rgb * n_dot_l;
+    float lobe = n_dot_sum * n_dot_sum * (alpha_sq - 1.0) + sum_sq;  // times |l + v|^2
+    float masking = n_dot_l * sqrt(n_dot_v * n_dot_v * (1.0 - alpha_sq) + alpha_sq)
+        + n_dot_v * sqrt(n_dot_l * n_dot_l * (1.0 - alpha_sq) + alpha_sq);
+    float distribution = 0.5 * alpha_sq * sum_sq * sum_sq / (lobe * lobe * masking);  // in a white sheet's radiance
+    float grazing = 1.0 - 0.5 * sqrt(sum_sq);
+    float grazing_sq = grazing * grazing;
+    vec3 fresnel = f0 + (1.0 - f0) * (grazing_sq * grazing_sq * grazing);
+    return (diffuse_color * (1.0 - fresnel) + fresnel * distribution) * sun_color.rgb * n_dot_l;
+}
+
+// How much of what is mirrored reaches a surface that its surroundings shade: (n.v + o)^(2 r) - 1 + o, the power as the
+// first terms of its series, which are exact for exponents 0, 1 and 2.
+float reflection_occlusion(float n_dot_v, float occlusion, float roughness) {
+    float over = n_dot_v + occlusion - 1.0;
+    return clamp(2.0 * roughness * over * (1.0 + over * (roughness - 0.5)) + occlusion, 0.0, 1.0);
 }
 
 // Radiance towards the eye, linear.
@@ -68,21 +83,28 @@ vec3 shade(Surface s) {
     vec3 reflectance = f0 * share.x + share.y;
     vec3 around = environment_diffuse(s.normal) * diffuse_color * (1.0 - reflectance);
     vec3 mirrored = environment_reflection(reflect(-s.view, s.normal), s.roughness) * reflectance;
-    float reflection_occlusion = clamp(pow(n_dot_v + s.occlusion, 2.0 * s.roughness) - 1.0 + s.occlusion, 0.0, 1.0);
-    return light_directly(s, diffuse_color, f0) + around * s.occlusion + mirrored * reflection_occlusion + s.emissive;
+#ifndef NO_OCCLUSION
+    around *= s.occlusion;
+    mirrored *= reflection_occlusion(n_dot_v, s.occlusion, s.roughness);
+#endif
+    vec3 radiance = light_directly(s, diffuse_color, f0) + around + mirrored;
+#ifndef NO_EMISSION
+    radiance += s.emissive;
+#endif
+    return radiance;
 }
 
-// Radiance to a displayable encoded colour: exposure, a shoulder that keeps hue, sRGB.
+// Radiance to a displayable encoded colour: exposure, a shoulder that keeps hue, then goes to white, sRGB.
 vec3 tone_map(vec3 radiance) {
     const float linear_part = 0.72;
+    const float shoulder = 1.0 - linear_part;
     vec3 color = max(radiance * sun_color.w, 0.0);
     float peak = max(max(color.r, color.g), max(color.b, 1e-6));
-    if (peak > linear_part) {
-        float mapped = 1.0 - (1.0 - linear_part) * (1.0 - linear_part) / (peak + 1.0 - 2.0 * linear_part);
-        color *= mapped / peak;
-        color = mix(color, vec3(mapped), 1.0 - 1.0 / (1.0 + 0.15 * (peak - mapped)));  // towards white as it burns out
-    }
-    return encode_srgb(color);
+    float over = max(peak - linear_part, 0.0);
+    float mapped = min(peak, linear_part) + shoulder * over / (over + shoulder);
+    float lost = 0.15 * (peak - mapped);
+    float scale = 1.0 / (1.0 + lost);  // the rest is white
+    return encode_srgb(color * (scale * mapped / peak) + mapped * lost * scale);
 }
 
 #endif

@@ -18,21 +18,23 @@ in vec2 surface_normal_uv;        // where the normal texture is sampled: beside
 in vec3 surface_position;         // metres, world axes, from the eye
 in mat3 surface_normal_matrix;    // object space at rest -> world, not normalised
 in vec3 surface_rest;             // object space at rest, metres
-in vec4 surface_tint;
+flat in vec4 surface_tint;
 flat in int surface_level;        // level of detail
 
 uniform sampler2D normal_texture;
 uniform sampler2D base_color_texture;
 uniform sampler2D orm_texture;
 uniform sampler2D emissive_texture;
-uniform vec2 normal_decode;       // normal = texel * x + y
 uniform vec4 base_color_factor;
 uniform vec4 surface_factors;     // occlusion strength, roughness, metallic; alpha cutoff (below 0: none)
 uniform vec3 emissive_factor;
-uniform int surface_flags;        // bit 0: blended, bit 1: unlit
+uniform bool surface_blended;
 
-// Programs for materials that lack a thing are compiled without it: NO_CUTOUT (alpha mode MASK), NO_EMISSION, NO_ORM (no
-// occlusion-roughness-metallic texture).
+// Programs for materials that lack a thing are compiled without it: NO_CUTOUT (alpha mode MASK), NO_BLEND (alpha mode
+// BLEND), NO_FACTOR (a base colour factor), NO_EMISSION, NO_OCCLUSION, NO_METAL, NO_ORM (an occlusion-roughness-metallic
+// texture), ONE_SIDED. UNLIT materials have a colour alone. What varies of occlusion, roughness and metallic may lie in
+// alpha channels (runtime/material_channels.py): ROUGHNESS_IN_COLOR, OCCLUSION_IN_NORMAL, METALLIC_IN_NORMAL. A driver
+// that runs shaders on the processor reads every uniform anew in every invocation: there are few on purpose.
 
 struct Surface {
     vec2 uv;
@@ -48,62 +50,112 @@ struct Surface {
     bool unlit;
 };
 
-// sRGB's curves without powers: fits over [0, 1] that are off by 0.05 and 0.1 of an 8-bit step at most.
+// sRGB's curves without powers: fits over [0, 1] that are off by 0.05 and 0.2 of an 8-bit step at most.
 vec3 decode_srgb(vec3 encoded) {
     vec3 low = encoded * (1.0 / 12.92);
     vec3 high = (((encoded * -0.11678043 + 0.52647363) * encoded + 0.56040372) * encoded + 0.02839627) * encoded
         + 0.00104673;
-    return mix(low, high, step(0.04045, encoded));
+    return mix(low, high, greaterThan(encoded, vec3(0.04045)));
 }
 
 vec3 encode_srgb(vec3 linear_color) {
     vec3 low = linear_color * 12.92;
     vec3 root = sqrt(max(linear_color, 0.0));
-    vec3 high = root * 0.83372401 + sqrt(root) * 0.29814008 - linear_color * 0.05531354 - 0.07691190;
-    return mix(low, high, step(0.0031308, linear_color));
+    vec3 high = (((root * -0.30665522 + 0.84319950) * root - 0.95030511) * root + 1.45083058) * root - 0.03734607;
+    return mix(low, high, greaterThan(linear_color, vec3(0.0031308)));
 }
 
-// The texture's vector as stored, turned to world axes and made unit: object space normals, filtered as vectors.
-vec3 shading_normal() {
-    vec3 at_rest = texture(normal_texture, surface_normal_uv).xyz * normal_decode.x + normal_decode.y;
-    vec3 normal = surface_normal_matrix * at_rest;
+// A normal texel's vector as stored, turned to world axes and made unit: object space normals, filtered as vectors.
+vec3 turned_normal(vec3 texel) {
+#ifdef FLOAT_NORMALS
+    vec3 normal = surface_normal_matrix * texel;
+#else
+    vec3 normal = surface_normal_matrix * (texel * 2.0 - 1.0);
+#endif
     normal *= inversesqrt(max(dot(normal, normal), 1e-30));
+#ifdef ONE_SIDED
+    return normal;
+#else
     return gl_FrontFacing ? normal : -normal;
+#endif
+}
+
+vec3 shading_normal() {
+    return turned_normal(texture(normal_texture, surface_normal_uv).xyz);
 }
 
 // Colours are blended in the encoding they are stored in, in which their seams were closed, and then decoded.
-vec4 encoded_base_color() {
-    vec4 texel = texture(base_color_texture, surface_color_uv);
+vec4 cut_out(vec4 texel) {
+#if defined(NO_CUTOUT) && defined(NO_BLEND)
+    return vec4(texel.rgb, 1.0);
+#else
     float alpha = texel.a * base_color_factor.a * surface_tint.a;
 #ifndef NO_CUTOUT
     if (alpha < surface_factors.w) discard;
 #endif
-    return vec4(texel.rgb, (surface_flags & 1) != 0 ? alpha : 1.0);
+    return vec4(texel.rgb, surface_blended ? alpha : 1.0);
+#endif
+}
+
+vec4 encoded_base_color() {
+    return cut_out(texture(base_color_texture, surface_color_uv));
+}
+
+// What a stored base colour is multiplied with, linear.
+vec3 color_factor() {
+#ifdef NO_FACTOR
+    return surface_tint.rgb;
+#else
+    return surface_tint.rgb * base_color_factor.rgb;
+#endif
 }
 
 Surface read_surface() {
     Surface s;
-    vec4 encoded = encoded_base_color();
+    vec4 color_texel = texture(base_color_texture, surface_color_uv);
+    vec4 normal_texel = texture(normal_texture, surface_normal_uv);
+    vec4 encoded = cut_out(color_texel);
 #ifdef NO_ORM
     vec3 orm = vec3(1.0);
 #else
     vec3 orm = texture(orm_texture, surface_color_uv).rgb;
 #endif
+#ifdef ROUGHNESS_IN_COLOR
+    orm.g = color_texel.a;
+#endif
+#ifdef OCCLUSION_IN_NORMAL
+    orm.r = normal_texel.a;
+#endif
+#ifdef METALLIC_IN_NORMAL
+    orm.b = normal_texel.a;
+#endif
     s.uv = surface_uv;
     s.position = surface_position;
-    s.normal = shading_normal();
+    s.normal = turned_normal(normal_texel.xyz);
     s.view = -normalize(surface_position);
     s.encoded = encoded.rgb;
-    s.base_color = vec4(decode_srgb(encoded.rgb) * base_color_factor.rgb * surface_tint.rgb, encoded.a);
+    s.base_color = vec4(decode_srgb(encoded.rgb) * color_factor(), encoded.a);
+#ifdef NO_OCCLUSION
+    s.occlusion = 1.0;
+#else
     s.occlusion = 1.0 + surface_factors.x * (orm.r - 1.0);
-    s.roughness = clamp(orm.g * surface_factors.y, 0.045, 1.0);
-    s.metallic = clamp(orm.b * surface_factors.z, 0.0, 1.0);
+#endif
+    s.roughness = max(orm.g * surface_factors.y, 0.045);
+#ifdef NO_METAL
+    s.metallic = 0.0;
+#else
+    s.metallic = orm.b * surface_factors.z;
+#endif
 #ifdef NO_EMISSION
     s.emissive = vec3(0.0);
 #else
     s.emissive = decode_srgb(texture(emissive_texture, surface_color_uv).rgb) * emissive_factor;
 #endif
-    s.unlit = (surface_flags & 2) != 0;
+#ifdef UNLIT
+    s.unlit = true;
+#else
+    s.unlit = false;
+#endif
     return s;
 }
 
