@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from preprocess.errors import InputError
+from preprocess.folder import stops_as_interrupts
 from preprocess.kernels import compile_quickly
 from preprocess.settings import Settings
 
@@ -180,7 +181,8 @@ def main(arguments: Sequence[str]) -> int:
             stream.reconfigure(errors="replace")
     compile_quickly()
     try:
-        status = _run(list(arguments))
+        with stops_as_interrupts():
+            status = _run(list(arguments))
         sys.stdout.flush()
         return status
     except BrokenPipeError:  # whoever read our lines has seen enough: `| head`

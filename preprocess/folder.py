@@ -8,7 +8,7 @@ import shutil
 import signal
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import FrameType
 
@@ -47,7 +47,7 @@ def whole_folder(destination: Path) -> Iterator[Path]:
     Whatever stood at the destination stays untouched until then, also when the block fails or is interrupted.
     """
     parent = destination.absolute().parent
-    with _terminate_as_interrupt(), whole_parents(parent):
+    with stops_as_interrupts(), whole_parents(parent):
         partial = Path(tempfile.mkdtemp(prefix=f".{destination.name}.partial-", dir=parent))
         try:
             partial.chmod(0o755)
@@ -98,8 +98,8 @@ def _swap(partial: Path, destination: Path) -> None:
 
 
 @contextlib.contextmanager
-def _terminate_as_interrupt() -> Iterator[None]:
-    """Let a polite kill (SIGTERM) clean up like Ctrl-C does."""
+def stops_as_interrupts() -> Iterator[None]:
+    """Let a polite kill (SIGTERM) and a closed terminal (SIGHUP) clean up like Ctrl-C does."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -107,8 +107,23 @@ def _terminate_as_interrupt() -> Iterator[None]:
     def interrupt(signum: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, interrupt)
+    numbers = [signal.Signals[name] for name in ("SIGTERM", "SIGHUP") if name in signal.Signals.__members__]
+    ignored = [number for number in numbers if signal.getsignal(number) == signal.SIG_IGN]  # nohup: on purpose
+    before = {number: signal.signal(number, interrupt) for number in numbers if number not in ignored}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def check_not_input(output: Path, inputs: Iterable[Path]) -> None:
+    """Refuse an output that would take the place of a file it is made from: nobody's original is lost.
+
+    Raises
+    ------
+    InputError
+    """
+    for path in inputs:
+        if output.exists() and path.exists() and output.samefile(path):
+            raise InputError(f"{output} is the input itself: name another place with -o")

@@ -161,7 +161,7 @@ def write_image(path: Path, image: Image) -> None:
     written = writer.write_image(np.ascontiguousarray(data))
     error = writer.geterror()
     if not writer.close() or not written:
-        raise InputError(f"cannot write {path.name}: {_reason(error or writer.geterror(), path)}")
+        raise InputError(f"cannot write {path.name} ({_reason(error or writer.geterror(), path)}): is the disk full?")
     if path.suffix.lower() == ".png" and find_png_fault(path.read_bytes()):  # a full disk goes unnoticed by libpng
         raise InputError(f"cannot write {path.name}: the disk took a part of it alone: make room")
 

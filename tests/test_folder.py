@@ -1,11 +1,12 @@
 """A result folder appears whole or not at all."""
 
+import signal
 from pathlib import Path
 
 import pytest
 
 from preprocess.errors import InputError
-from preprocess.folder import check_destination, whole_folder
+from preprocess.folder import check_destination, check_not_input, whole_folder
 
 
 def fill(folder: Path, text: str) -> None:
@@ -69,3 +70,43 @@ def test_a_failed_build_leaves_no_folders_above(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="bad"), whole_folder(tmp_path / "there" / "deep" / "deeper" / "a.seamless"):
         raise ValueError("bad")
     assert [p.name for p in tmp_path.rglob("*")] == ["there"]
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_a_polite_kill_or_a_closed_terminal_cleans_up(tmp_path: Path, name: str) -> None:
+    number = getattr(signal, name, None)
+    if number is None:
+        pytest.skip(f"no {name} here")
+    before = signal.getsignal(number)
+    with pytest.raises(KeyboardInterrupt), whole_folder(tmp_path / "new" / "a"):
+        signal.raise_signal(number)
+    assert not list(tmp_path.iterdir())
+    assert signal.getsignal(number) == before
+
+
+def test_ignored_signals_stay_ignored(tmp_path: Path) -> None:
+    """nohup: a build goes on when its terminal closes."""
+    if not hasattr(signal, "SIGHUP"):
+        pytest.skip("no SIGHUP here")
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with whole_folder(tmp_path / "a") as folder:
+            signal.raise_signal(signal.SIGHUP)
+            (folder / "manifest.json").write_text("{}")
+        assert (tmp_path / "a" / "manifest.json").is_file()
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_an_input_is_never_the_output(tmp_path: Path) -> None:
+    source, other = tmp_path / "a.png", tmp_path / "b.png"
+    source.write_bytes(b"1")
+    check_not_input(other, [source])
+    other.write_bytes(b"2")
+    check_not_input(other, [source, tmp_path / "missing.png"])
+    with pytest.raises(InputError, match="is the input itself: name another place"):
+        check_not_input(tmp_path / "." / "a.png", [other, source])
+    link = tmp_path / "link.png"
+    link.symlink_to(source)
+    with pytest.raises(InputError, match="is the input itself"):
+        check_not_input(link, [source])

@@ -9,6 +9,7 @@ from preprocess.decimate.chain import check_target, decimate_to, decimate_within
 from preprocess.decimate.lod import Chain, DecimateOptions, Strictness
 from preprocess.decimate.topology import check_surface
 from preprocess.errors import InputError
+from preprocess.folder import check_not_input
 from preprocess.mesh import TexturedSurface
 from preprocess.obj import read_surface, write_obj
 
@@ -71,6 +72,7 @@ def run(arguments: argparse.Namespace) -> None:
     """
     if arguments.output.suffix.lower() != ".obj":
         raise InputError(f"{arguments.output}: decimated meshes are written as OBJ: give a name that ends in .obj")
+    check_not_input(arguments.output, [arguments.mesh])
     source = read_surface(arguments.mesh)
     check_surface(source)
     surface = _straightened(source, arguments.straighten)

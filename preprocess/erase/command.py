@@ -22,7 +22,7 @@ from preprocess.erase.options import GLOBAL, LOCAL, EraseOptions
 from preprocess.erase.plan import plan_erasure
 from preprocess.erase.strip import SeamMeasure
 from preprocess.errors import InputError
-from preprocess.folder import whole_parents
+from preprocess.folder import check_not_input, whole_parents
 from preprocess.images import Image, read_image, write_image
 from preprocess.mesh import TexturedSurface
 from preprocess.seams import Seams, count_crowded_edges, find_seams
@@ -30,7 +30,7 @@ from preprocess.seams import Seams, count_crowded_edges, find_seams
 logger = logging.getLogger(__name__)
 
 IMAGE_SUFFIXES = {".png", ".tif", ".tiff", ".exr", ".jpg", ".jpeg", ".tga", ".bmp", ".webp", ".hdr", ".dpx", ".jp2"}
-LOSSY_SUFFIXES = {".jpg", ".jpeg", ".webp"}
+LOSSY_SUFFIXES = {".jpg", ".jpeg", ".webp", ".gif"}
 
 # Memory that a build takes beside the image: the programs' libraries, and what each texel of seam length costs in
 # unknowns, matrix and factor (measured: 7 kB on Fox and blub).
@@ -269,6 +269,8 @@ def run(arguments: argparse.Namespace) -> None:
         If the mesh or an image cannot be used, or the output cannot be written.
     """
     paths = _output_paths(arguments.images, arguments.output, arguments.mips)
+    for path in paths:
+        check_not_input(path, arguments.images)
     job = _Job(arguments)
     for source in arguments.images:
         _check_memory(source, job.surface, job.seams, arguments.mips)
