@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from runtime.gpu_asset import Model
     from runtime.loading import Loading
     from runtime.lod import Quality
+    from runtime.picking import Hit, pick
     from runtime.renderer import Renderer
 
 __all__ = [
@@ -33,6 +34,7 @@ __all__ = [
     "Clip",
     "Crowd",
     "Environment",
+    "Hit",
     "Lighting",
     "Loading",
     "MatrixCamera",
@@ -42,6 +44,7 @@ __all__ = [
     "Renderer",
     "framing",
     "load",
+    "pick",
 ]
 
 _HOMES = {
@@ -58,6 +61,8 @@ _HOMES = {
     "Loading": "loading",
     "Model": "gpu_asset",
     "Quality": "lod",
+    "Hit": "picking",
+    "pick": "picking",
     "Renderer": "renderer",
 }
 
@@ -69,3 +74,8 @@ def __getattr__(name: str) -> Any:
     from importlib import import_module
 
     return getattr(import_module(f"runtime.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    """All public names, imported yet or not: for completion."""
+    return sorted({*globals(), *__all__})

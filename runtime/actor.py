@@ -6,7 +6,7 @@ Letters in shapes: A actors, J joints, N nodes.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Protocol
 from weakref import WeakKeyDictionary
@@ -87,6 +87,7 @@ class Actor(NotCopied):
         self._transform: NDArray[np.float64] = np.eye(4)
         self._tint: NDArray[np.float32] = np.ones(4, dtype=np.float32)
         self._attached: list[tuple[HasTransform, int, NDArray[np.float64]]] = []
+        self._endings: dict[int, Callable[[], object]] = {}
         self._root_motion = bool(root_motion)
         try:
             self.tint = tint
@@ -148,13 +149,44 @@ class Actor(NotCopied):
         time_s: float = 0.0,
         loop: bool = True,
         layer: str | int = 0,
+        on_end: Callable[[], object] | None = None,
     ) -> None:
-        """Start a clip on a layer, fading from what plays there. See `Mixer.play`."""
+        """Start a clip on a layer, fading from what plays there.
+
+        Parameters
+        ----------
+        clip : name or number of a clip, or a Clip of the same skeleton
+        fade_s : seconds until the new clip has it all; 0 cuts
+        speed : factor; negative plays backwards
+        time_s : where in the clip to start
+        loop : over and over, or once and hold the end
+        layer : name or number
+        on_end : function without arguments, optional
+            Called once by the `update` that brings a clip played once (``loop=False``) to its end, unless something
+            else was played on the layer before. It may play the next clip.
+
+        Raises
+        ------
+        ValueError
+            When there is no such clip or layer, a number is not finite, or a loop is to have an end.
+        """
+        if on_end is not None and (loop or not callable(on_end)):
+            raise ValueError("on_end needs loop=False and a function: a clip that loops has no end")
         self._mixer.play(self.row, clip, fade_s=fade_s, speed=speed, time_s=time_s, loop=loop, layer=layer)
+        number = self._mixer.layer_index(layer)
+        self._endings.pop(number, None)
+        if on_end is not None:
+            self._endings[number] = on_end
+
+    @property
+    def finished(self) -> bool:
+        """Whether the clip of the body, played once (``loop=False``), has come to its end."""
+        return self._mixer.finished(self.row)
 
     def stop(self, layer: str | int, *, fade_s: float = 0.0) -> None:
         """Silence a layer, within `fade_s` seconds."""
         self._mixer.stop(self.row, layer, fade_s=fade_s)
+        self._endings.pop(self._mixer.layer_index(layer), None)
 
     def set_layer_weight(self, layer: str | int, weight: float) -> None:
         """Set how much a layer counts, 0 to 1."""
@@ -196,6 +228,14 @@ class Actor(NotCopied):
             self._transform[:] = self._transform @ self._mixer.take_root_step(self.row)
         if self._attached:
             self._place_attached()
+        if self._endings:
+            self._tell_endings()
+
+    def _tell_endings(self) -> None:
+        """Call who wants to know that a clip has come to its end."""
+        ended = [layer for layer in self._endings if self._mixer.finished(self.row, layer)]
+        for tell in [self._endings.pop(layer) for layer in ended]:
+            tell()
 
     # Joints
 
@@ -270,7 +310,12 @@ class Actor(NotCopied):
         if self._row is not None:
             self._mixer.remove_row(self._row)
             self._row = None
-            self._attached = []
+            self._attached, self._endings = [], {}
+
+    def __del__(self) -> None:
+        """An actor that nobody holds any more leaves the stage by itself."""
+        if getattr(self, "_row", None) is not None:
+            self.release()
 
 
 def joint_boxes_of(model: ModelLike) -> NDArray[np.float64]:

@@ -22,6 +22,7 @@ FRAMING_DIRECTION = (0.42, 0.16, 1.0)  # a little from the side and above: shows
 
 
 Vector = tuple[float, float, float]
+Ray = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 def _cross(a: Vector, b: Vector) -> Vector:
@@ -91,6 +92,19 @@ class CameraMatrices:
         return float(((1 + abs(aside)) / x) ** 2 + ((1 + abs(above)) / y) ** 2)
 
 
+def _ray(camera: CameraMatrices, point_px: ArrayLike, size_px: tuple[int, int]) -> Ray:
+    """The ray of `Camera.ray`, from matrices."""
+    (x, y), (width, height) = numbers(point_px, "a point of the picture").reshape(2), size_px
+    if width < 1 or height < 1:
+        raise ValueError(f"a picture of {width} x {height} pixels has no rays")
+    on_screen = np.array([2 * x / width - 1, 1 - 2 * y / height])
+    ends = np.linalg.solve(camera.projection, np.array([[*on_screen, -1, 1], [*on_screen, 1, 1]]).T).T
+    start, end = ends[:, :3] / ends[:, 3:]
+    direction = (end - start) @ camera.rotation
+    origin = np.zeros(3) if camera.is_perspective else start @ camera.rotation
+    return camera.eye + origin, direction / np.linalg.norm(direction)
+
+
 @dataclass(frozen=True)
 class Camera:
     """An eye that looks at a target.
@@ -110,6 +124,51 @@ class Camera:
     fovy_deg: float = 35.0
     near_m: float | None = None
     far_m: float | None = None
+
+    @classmethod
+    def first_person(
+        cls,
+        eye: ArrayLike,
+        heading: float,
+        pitch: float = 0.0,
+        *,
+        fovy_deg: float = 60.0,
+        near_m: float = 0.05,
+        far_m: float = 1000.0,
+    ) -> Camera:
+        """A camera in somebody's head.
+
+        Parameters
+        ----------
+        eye : (3,) float, metres
+        heading : float
+            Radians about +Y from +Z, as of `Crowd.place_on_ground`: a quarter turn looks along +X.
+        pitch : float
+            Radians upwards.
+        fovy_deg, near_m, far_m
+            As of a camera.
+
+        Raises
+        ------
+        ValueError
+            When a number is not finite.
+        """
+        x, y, z = numbers(eye, "the eye").reshape(3).tolist()
+        around, above = float(numbers(heading, "heading")), float(numbers(pitch, "pitch"))
+        level = math.cos(above)
+        target = x + level * math.sin(around), y + math.sin(above), z + level * math.cos(around)
+        up = -math.sin(above) * math.sin(around), level, -math.sin(above) * math.cos(around)
+        return cls((x, y, z), target, up, fovy_deg, near_m, far_m)
+
+    def ray(self, point_px: ArrayLike, size_px: tuple[int, int]) -> Ray:
+        """What lies under a point of the picture: origin (3,), metres, and unit direction (3,) in the world.
+
+        Parameters
+        ----------
+        point_px : x and y from the upper left corner, as a mouse has them
+        size_px : width and height of the picture
+        """
+        return _ray(self.matrices(*size_px), point_px, size_px)
 
     def matrices(self, width: int, height: int) -> CameraMatrices:
         """View and projection for a picture of this size, pixels.
@@ -162,6 +221,10 @@ class MatrixCamera:
 
     view: ArrayLike
     projection: ArrayLike
+
+    def ray(self, point_px: ArrayLike, size_px: tuple[int, int]) -> Ray:
+        """As of `Camera`."""
+        return _ray(self.matrices(*size_px), point_px, size_px)
 
     def matrices(self, width: int, height: int) -> CameraMatrices:
         """The same matrices, whatever the size of the picture.

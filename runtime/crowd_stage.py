@@ -155,6 +155,11 @@ class Stage:
         self._centres[numbers] = self._positions[numbers] + (x + y + z)
         self._radii[numbers] = self.baked.radii_m[clips] * self._scales[numbers]
 
+    @property
+    def spheres(self) -> tuple[NDArray[np.float64], Floats]:
+        """Centres (A, 3) in the world and radii (A,), metres: each holds its actor in all poses of its clip."""
+        return self._centres, self._radii
+
     def seen(self, camera: CameraMatrices) -> tuple[NDArray[np.int64], Floats, Floats]:
         """Actors whose sphere touches the view: numbers (S,), view-space centres (S, 3) float32, radii (S,)."""
         rotation = camera.rotation.astype(np.float32)

@@ -54,6 +54,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "glPixelStorei": (None, _U, _I), "glPatchParameteri": (None, _U, _I),
     "glCreateShader": (_U, _U), "glShaderSource": (None, _U, _I, _P, _P), "glCompileShader": (None, _U),
     "glGetShaderiv": (None, _U, _U, _P), "glGetShaderInfoLog": (None, _U, _I, _P, _P), "glDeleteShader": (None, _U),
+    "glViewport": (None, _I, _I, _I, _I),
     "glBindFramebuffer": (None, _U, _U), "glVertexAttribPointer": (None, _U, _I, _U, _B, _I, _P),
 }  # fmt: skip
 

@@ -264,6 +264,17 @@ class Mixer:
         times = wrap_times(self._time[row, which, [slot]], clip.duration_s, bool(self._loop[row, which, slot]))
         return clip, float(times[0])
 
+    def finished(self, row: int, layer: str | int = 0) -> bool:
+        """Whether the clip that a layer of a row plays, once and not over and over, has come to its end."""
+        self.flush(np.array([row]))
+        which = self.layer_index(layer)
+        slot = self._newest[row, which]
+        index = int(self._clip[row, which, slot])
+        if index < 0 or self._loop[row, which, slot] or self._weight[row, which].sum() <= 0:
+            return False
+        time_s, speed = self._time[row, which, slot], self._speed[row, which, slot]
+        return bool(time_s <= 0.0 if speed < 0 else time_s >= self.clips[index].duration_s)
+
     # Joints from code
 
     def set_matrices(self, row: int, matrices: ArrayLike | None) -> None:
