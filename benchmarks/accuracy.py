@@ -1,6 +1,6 @@
 """Built characters against their sources: how far the finest level's vertices are off, and what it takes in memory.
 
-Every vertex of the finest level is fetched as the GPU fetches it (16-bit positions, weight cells with their details)
+Every vertex of the finest level is fetched as the GPU fetches it (positions in words, weight cells with their details)
 and skinned in 64 bits in moments of all clips, beside the source's own vertex with the source's own weights. Errors are
 fractions of the bounding diagonal in percent. Memory is that of geometry, weights and all levels, beside the classic
 chain of the same levels: vertex attributes as glTF has them, and packed.
@@ -35,7 +35,7 @@ def fetched_vertices(asset: Asset) -> tuple[Floats, Floats]:
     """Rest positions (V, 3) and dense weights (V, J) of the finest level's surface vertices, as they are drawn."""
     prepared = prepare(asset)
     places = np.unique(asset.lods[0].owner_uvs, axis=0).astype(np.float64)
-    texels = prepared.position_texels[:, :, :3] / 65535.0 * prepared.position_scale + prepared.position_offset
+    texels = prepared.positions.metres
     stored = unpack_weights(asset.textures["weights"].levels[0], asset.weight_size, asset.num_joints)
     return sample_bilinear(texels, places), sample_weights(stored, asset.weight_details, places)
 
@@ -95,9 +95,9 @@ def measure_memory(asset: Asset) -> dict[str, Any]:
     attributes = vertex_attributes(asset.lods)
     levels = indices + sum(len(vertex_bytes(mesh, attributes)) for mesh in asset.lods)
     levels += sum(len(normal_bytes(mesh.normal_uvs)) for mesh in asset.lods if mesh.normal_uvs is not None)
-    ours = prepared.position_texels.nbytes + prepared.weight_cells.nbytes + levels
+    ours = prepared.positions.texels.nbytes + prepared.weight_cells.nbytes + levels
     row: dict[str, Any] = {
-        "position": prepared.position_texels.nbytes,
+        "position": prepared.positions.texels.nbytes,
         "weights": prepared.weight_cells.nbytes,
         "levels": levels,
         "bytes": ours,

@@ -164,9 +164,9 @@ def add_layouts(bench: Bench) -> dict[str, int]:
     names = ("in_position", "in_uv", "in_joints", "in_weights")
     bench.add("vertex attributes", "attributes.vert", vertices, "3f4 2f4 4u1 4f1", names, {})
     finest = bench.model.lods[0]
-    own, owners = finest.vertices, finest.uv_defines
+    own, owners = finest.vertices, {**finest.uv_defines, **bench.model.shader_defines}
     form, both = " ".join(form for form, _ in finest.attributes), tuple(name for _, name in finest.attributes)
-    bench.add("textures: records a cell", "static.vert", own, form, both, {**owners, **bench.model.shader_defines})
+    bench.add("textures: records a cell", "static.vert", own, form, both, owners)
     bench.add("textures: lists a texel", "layouts.vert", own, form, both, {**owners, "LAYOUT_LISTS": 1, "LISTS": lists})
     bench.add(
         "textures: dense layers", "layouts.vert", own, form, both, {**owners, "LAYOUT_DENSE": 1, "LAYERS": layers}

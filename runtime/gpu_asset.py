@@ -53,9 +53,9 @@ class Model:
         The caller's; OpenGL 3.3, or 4.1 for tessellation.
     asset : Asset or Prepared
         From `runtime.load`, or `prepare` of it.
-    position_format : "unorm16" or "float32"
-        How positions lie in GPU memory. 16 bits hold them to 1/131070 of the bounding box an axis. A `Prepared` has
-        its own.
+    position_format : "auto", "words", "unorm16" or "float32"
+        How positions lie in GPU memory: 4, 8 or 16 bytes a texel. Characters that were built for words lose nothing
+        in them; "auto" takes them for these, and 16 bits a channel for others. A `Prepared` has its own.
     in_slices : bool
         Upload nothing yet: call `upload_slice` until it says that all is there (see `runtime.loading`).
 
@@ -70,7 +70,7 @@ class Model:
         ctx: moderngl.Context,
         asset: Asset | Prepared,
         *,
-        position_format: str = "unorm16",
+        position_format: str = "auto",
         in_slices: bool = False,
     ) -> None:
         from runtime.mixer import Mixer
@@ -140,7 +140,12 @@ class Model:
         }
         if cells.joints is not None:
             exact["joint_records"] = cells.joints
-        filtered: dict[str, tuple[NDArray[Any], ...]] = {"position_texture": (prepared.position_texels,)}
+        positions = prepared.positions
+        filtered: dict[str, tuple[NDArray[Any], ...]] = {}
+        if positions.texels.dtype == np.uint32:
+            exact["position_texture"] = positions.texels
+        else:
+            filtered["position_texture"] = (positions.texels,)
         for name in ("normal", "base_color", "orm", "emissive"):
             filtered[f"{name}_texture"] = self.channels.textures.get(name, (_WHITE,))
         for name, levels in filtered.items():
@@ -150,14 +155,16 @@ class Model:
             self.textures[name] = self._keep(make_texture(self.ctx, texels, linear=False))
             yield from fill_texture(self.ctx, self.textures[name], (texels,))
         self.constants: dict[str, Any] = {
-            "position_scale": tuple(prepared.position_scale),
-            "position_offset": tuple(prepared.position_offset),
+            "position_scale": tuple(positions.scale),
+            "position_offset": tuple(positions.offset),
             "weight_size": asset.weight_size,
             "first_divided_record": cells.first_divided,
             "box_min": tuple(asset.manifest.bind_bounds[0]),
             "box_size": tuple(asset.manifest.bind_bounds[1] - asset.manifest.bind_bounds[0]),
         }
-        self.decode = (prepared.position_scale, prepared.position_offset)
+        if positions.shifts is not None and positions.masks is not None:
+            self.constants["position_shifts"] = tuple(map(int, positions.shifts))
+            self.constants["position_masks"] = tuple(map(int, positions.masks))
         for mesh in asset.lods:
             self.levels.upload(mesh)
             yield
@@ -172,6 +179,7 @@ class Model:
         """Preprocessor definitions that this model's programs need."""
         return {
             **({} if self.weight_cells.joints is None else {"WIDE_JOINTS": 1}),
+            **({"POSITION_WORDS": 1} if "position_shifts" in self.constants else {}),
             **({"COLOR_AT_NORMAL_UV": 1} if self.asset.colors_moved else {}),
             **({"FLOAT_NORMALS": 1} if self.asset.textures["normal"].levels[0].dtype.kind == "f" else {}),
         }

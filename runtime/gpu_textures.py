@@ -17,6 +17,7 @@ from runtime.asset import Asset
 from runtime.errors import RenderError
 from runtime.gl_state import allocate_mips, write_rows
 from runtime.material_channels import MaterialChannels, arrange_channels
+from runtime.position_words import read_words
 from runtime.touched_cells import touched_cells
 from runtime.weight_cells import WeightCells, build_weight_cells
 
@@ -38,7 +39,7 @@ _DTYPES = {"uint8": "f1", "uint16": "nu2", "float16": "f2", "float32": "f4"}
 _EXACT_DTYPES = {"uint16": "u2", "uint32": "u4"}
 _BYTES = {"uint8": 1, "f1": 1, "nu2": 2, "f2": 2, "f4": 4, "u2": 2, "u4": 4}
 SLICE_BYTES = 1 << 20  # uploaded at a time by a model made in slices: well under a millisecond on any bus
-POSITION_FORMATS = ("unorm16", "float32")
+POSITION_FORMATS = ("auto", "words", "unorm16", "float32")
 
 
 def make_texture(
@@ -80,56 +81,90 @@ def texture_bytes(texture: moderngl.Texture) -> int:
 
 
 @dataclass(frozen=True)
+class PreparedPositions:
+    """The position texture as the GPU has it.
+
+    Attributes
+    ----------
+    texels : (H, W, 1) uint32, or (H, W, 4) uint16 or float32
+        Words (`runtime.position_words`), or x, y, z; 16 bits count as 0 to 1.
+    scale, offset : (3,) float64
+        Metres are what a texel holds times scale plus offset.
+    shifts, masks : (3,) int64 or None
+        Where in its word a texel holds x, y and z.
+    """
+
+    texels: NDArray[Any]
+    scale: NDArray[np.float64]
+    offset: NDArray[np.float64]
+    shifts: NDArray[np.int64] | None = None
+    masks: NDArray[np.int64] | None = None
+
+    @property
+    def metres(self) -> NDArray[np.float64]:
+        """What the shaders read, (H, W, 3)."""
+        if self.shifts is not None and self.masks is not None:
+            held: NDArray[Any] = (self.texels >> self.shifts) & self.masks
+        else:
+            held = self.texels[:, :, :3] / (65535.0 if self.texels.dtype == np.uint16 else 1.0)
+        return np.asarray(held * self.scale + self.offset, np.float64)
+
+
+@dataclass(frozen=True)
 class Prepared:
     """A character turned into what the GPU takes, without a context: the slow part of making a model.
 
     Attributes
     ----------
     asset : Asset
-    position_texels : (H, W, 4) uint16 or float32
-    position_scale, position_offset : (3,) float64
-        Metres are texels times scale plus offset.
+    positions : PreparedPositions
     weight_cells : WeightCells
     channels : MaterialChannels
     """
 
     asset: Asset
-    position_texels: NDArray[Any]
-    position_scale: NDArray[np.float64]
-    position_offset: NDArray[np.float64]
+    positions: PreparedPositions
     weight_cells: WeightCells
     channels: MaterialChannels
 
 
-def _position_texels(texels: NDArray[Any], form: str) -> tuple[NDArray[Any], NDArray[np.float64], NDArray[np.float64]]:
-    """Texels for the GPU, and the scale and offset that turn them back into metres."""
+def _prepare_positions(asset: Asset, form: str) -> PreparedPositions:
+    """Texels for the GPU, and what turns them back into metres."""
+    texels = asset.textures["position"].levels[0]
     positions = texels[:, :, :3].astype(np.float64)
+    if form in ("auto", "words"):
+        where = f"{asset.path / 'manifest.json'}: textures.position.words"
+        words = read_words(asset.manifest.json["textures"]["position"].get("words"), where)
+        if words is not None:
+            return PreparedPositions(words.pack(positions), words.steps_m, words.low, words.shifts, words.masks)
+        if form == "words":
+            raise RenderError(f"{asset.name} was built before positions could be words: build it again")
     if form == "float32":
         full = np.zeros((*positions.shape[:2], 4), np.float32)
         full[:, :, :3] = positions
-        return full, np.ones(3), np.zeros(3)
+        return PreparedPositions(full, np.ones(3), np.zeros(3))
     low, high = positions.min(axis=(0, 1)), positions.max(axis=(0, 1))
     size = np.maximum(high - low, 1e-30)
     full16 = np.zeros((*positions.shape[:2], 4), np.uint16)
     full16[:, :, :3] = np.rint((positions - low) / size * 65535.0)
-    return full16, size, low
+    return PreparedPositions(full16, size, low)
 
 
-def prepare(asset: Asset, position_format: str = "unorm16") -> Prepared:
+def prepare(asset: Asset, position_format: str = "auto") -> Prepared:
     """Turn a character into what the GPU takes. Needs no context: may run in any thread.
 
     Raises
     ------
     RenderError
-        If there is no such position format.
+        If there is no such position format, or the character has no words.
     """
     if position_format not in POSITION_FORMATS:
         raise RenderError(f"no position format {position_format!r}: one of {', '.join(POSITION_FORMATS)}")
-    texels, scale, offset = _position_texels(asset.textures["position"].levels[0], position_format)
+    positions = _prepare_positions(asset, position_format)
     cells = build_weight_cells(
         asset.textures["weights"].levels[0], asset.weight_size, asset.num_joints, asset.weight_details, _touched(asset)
     )
-    return Prepared(asset, texels, scale, offset, cells, arrange_channels(asset))
+    return Prepared(asset, positions, cells, arrange_channels(asset))
 
 
 def _touched(asset: Asset) -> NDArray[np.bool_]:

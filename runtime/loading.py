@@ -40,7 +40,7 @@ class Loading:
         As for `Model`.
     """
 
-    def __init__(self, ctx: moderngl.Context, path: str | Path, *, position_format: str = "unorm16") -> None:
+    def __init__(self, ctx: moderngl.Context, path: str | Path, *, position_format: str = "auto") -> None:
         self._ctx = ctx
         self._model: Model | None = None
         self._done = False

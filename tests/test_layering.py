@@ -21,6 +21,7 @@ CROSSING = {
         "png",
         "errors",
         "lods",
+        "position_words",
         "touched_cells",
         "weight_details",
     )

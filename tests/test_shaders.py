@@ -26,7 +26,7 @@ VARIANTS: dict[str, list[dict[str, str | int]]] = {
     "layouts.vert": [{"LAYOUT_LISTS": 1, "LISTS": 2}, {"LAYOUT_DENSE": 1, "LAYERS": 14}],
     "crowd.vert": [{}, {"EIGHT_JOINTS": 1}, {"PLACED": 1}, {"SHOW_WEIGHTS": 1}],
 }
-NORMALS, STEPS, WIDE = {"NORMAL_UV": 1}, {"UV_STEPS": 1, "OWNER_STEPS": 1}, {"WIDE_JOINTS": 1}
+NORMALS, STEPS, WIDE = {"NORMAL_UV": 1}, {"UV_STEPS": 1, "OWNER_STEPS": 1, "POSITION_WORDS": 1}, {"WIDE_JOINTS": 1}
 SOLID = {"NO_CUTOUT": 1, "NO_BLEND": 1, "NO_EMISSION": 1}
 LACKS = [
     {"NO_CUTOUT": 1},

@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 
 from preprocess.decimate import Lod
 from preprocess.decimate.measure import make_reference, measure
+from preprocess.erase import measure_seams
 from preprocess.geometry.bake import vertex_values
 from preprocess.geometry.parking import park_vertices
 from preprocess.geometry.weight_details import (
@@ -28,12 +29,13 @@ from preprocess.geometry.weight_details import (
     sample_weights,
 )
 from preprocess.geometry.weights import unpack_weights
+from preprocess.geometry.words import round_positions
 from preprocess.gltf.locate import locate_corners
 from preprocess.mesh import Floats, SkinnedMesh
 from preprocess.raster import rasterise
 from preprocess.seams import find_seams
 from preprocess.texels import px_to_uv, sample_bilinear
-from preprocess.textures.stored import StoredTexture
+from preprocess.textures.stored import StoredTexture, jump
 
 log = logging.getLogger(__name__)
 
@@ -180,6 +182,26 @@ def _as_integers(texture: StoredTexture) -> NDArray[Any]:
     return np.rint(texture.levels[0] * np.iinfo(kind).max).astype(kind)
 
 
+def _in_words(
+    position: StoredTexture, texels: Floats, mesh: SkinnedMesh, lods: Sequence[Lod], wanted: Floats
+) -> tuple[StoredTexture, tuple[Lod, ...]]:
+    """Positions as the GPU holds them, and the levels as they are drawn then. `wanted` is what the finest wants."""
+    seams = find_seams(mesh.surface)
+    uvs = [lod.fetch_uvs for lod in lods if lod.fetch_uvs is not None]
+    rounded, words = round_positions(texels, mesh.surface, seams, uvs[0], wanted)
+    stored: NDArray[Any] = rounded.astype(np.float32)
+    drawn = [
+        dataclasses.replace(lod, positions=sample_bilinear(stored, places))
+        for lod, places in zip(lods, uvs, strict=True)
+    ]
+    left_m = float(np.linalg.norm(drawn[0].positions - wanted, axis=1).max(initial=0.0))
+    drawn[0] = dataclasses.replace(drawn[0], error_m=left_m)
+    seam = {**position.seam, "stored": [jump(measure_seams(stored, mesh.surface, seams))]}
+    meaning = {"bits": words.bits.tolist(), "low": words.low.tolist(), "high": words.high.tolist()}
+    extra = {**position.extra, "words": meaning}
+    return dataclasses.replace(position, levels=(stored,), seam=seam, extra=extra), tuple(drawn)
+
+
 def _measured(
     mesh: SkinnedMesh, weights: StoredTexture, lods: Sequence[Lod], allowed: Sequence[Lod], poses: Floats
 ) -> tuple[Lod, ...]:
@@ -235,6 +257,6 @@ def fit_levels(
     margin_uv = 1.0 / min(by_name["weights"].size)  # a cell: quarters at the edge have nothing beyond it
     texels = position.levels[0].astype(np.float32)
     texels, fitted = park_vertices(texels, lods, full, mesh.surface.diagonal_m, margin_uv)
-    by_name["position"] = dataclasses.replace(position, levels=(texels,))
+    by_name["position"], fitted = _in_words(position, texels.astype(np.float64), mesh, fitted, full)
     by_name["weights"] = _detail(by_name["weights"], mesh, fitted, owners, poses)
     return list(by_name.values()), _measured(mesh, by_name["weights"], fitted, lods, poses)

@@ -10,7 +10,13 @@
 
 #include "texels.glsl"
 
+#ifdef POSITION_WORDS
+uniform usampler2D position_texture;   // x, y and z in one word (runtime/position_words.py)
+uniform uvec3 position_shifts;
+uniform uvec3 position_masks;
+#else
 uniform sampler2D position_texture;
+#endif
 uniform vec3 position_scale;           // metres = texel * scale + offset
 uniform vec3 position_offset;
 uniform usampler2D weight_cells;       // number of the first record of each cell
@@ -182,9 +188,31 @@ mat3x4 blend_joints(vec2 uv, int pose) {
 }
 #endif
 
+#ifdef POSITION_WORDS
+vec4 position_texel(ivec2 at) {
+    return vec4(vec3((uvec3(texelFetch(position_texture, at, 0).r) >> position_shifts) & position_masks), 0.0);
+}
+
+vec4 fetch_position(vec2 uv) {
+    ivec2 size = textureSize(position_texture, 0);
+    TexelCell cell = texel_cell(uv, size);
+    ivec2 far_corner = min(cell.corner + 1, size - 1);
+    return blend_cell(
+        position_texel(cell.corner),
+        position_texel(ivec2(far_corner.x, cell.corner.y)),
+        position_texel(ivec2(cell.corner.x, far_corner.y)),
+        position_texel(far_corner),
+        cell.fraction);
+}
+#else
+vec4 fetch_position(vec2 uv) {
+    return fetch_bilinear(position_texture, uv);
+}
+#endif
+
 // Position at rest, object space, metres.
 vec3 rest_position(vec2 uv) {
-    PRECISE vec3 position = fetch_bilinear(position_texture, uv).xyz * position_scale + position_offset;
+    PRECISE vec3 position = fetch_position(uv).xyz * position_scale + position_offset;
     return position;
 }
 
