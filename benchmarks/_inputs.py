@@ -90,7 +90,7 @@ def source_files(chosen: Sequence[Path] | None, names: Iterable[str], option: st
 
 
 def source_of(asset: Asset, sources: Path) -> Path | None:
-    """The file a character was built from, among sources or beside what was built; where there is none, a line says so."""
+    """The file a character was built from, among sources or beside what was built; if there is none, a line says so."""
     name = asset.manifest.json["source"]["file"]
     for folder in (sources, asset.path.resolve().parent):
         if (folder / name).is_file():
