@@ -1,9 +1,9 @@
 """Drawing from textures beside ordinary vertex-attribute skinning: the same triangles, shading, context and run.
 
 Three questions: what a frame costs at equal triangles, for each way to store joint weights; what levels of detail save
-for a character 200 pixels tall, shaded and without shading; and how many bytes it all takes. Every
-time is the median over rounds in which the candidates take turns. CPU time counts all threads of the process: with
-software OpenGL it is the work itself, whatever else the machine does.
+for a character 200 pixels tall, shaded and without shading, alone and among others; and how many bytes it all takes.
+Every time is the median over rounds in which the candidates take turns. CPU time counts all threads of the process:
+with software OpenGL it is the work itself, whatever else the machine does.
 """
 
 from __future__ import annotations
@@ -267,7 +267,7 @@ def run(argv: list[str]) -> list[dict[str, Any]]:
         turns = partial(take_turns, rounds=options.rounds)
         with saved_state(range(16), (0, 1), True):
             tables = [measure_layouts(bench, canvas, options.rounds)]
-        tables += [measure_tall(bench.model, bench.actor, canvas, turns, DRAWS_A_ROUND), measure_bytes(bench.model)]
+        tables += [measure_tall(bench.model, bench.actor, turns, DRAWS_A_ROUND), measure_bytes(bench.model)]
         for table in tables:
             print_table(table)
             print()
