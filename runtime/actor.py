@@ -21,6 +21,7 @@ from runtime.given import numbers, shown
 from runtime.mixer import Mixer
 
 Floats = NDArray[np.floating[Any]]
+FARTHEST = 1e12  # entries of a transform: what lies beyond is a mistake, and overflows on the GPU
 
 
 class ModelLike(Protocol):
@@ -384,9 +385,12 @@ def gather(actors: Iterable[Actor]) -> list[tuple[Any, ActorBatch]]:
     if not listed:
         return []
     transforms = np.array([actor._transform for actor in listed], dtype=np.float64)
-    if not np.isfinite(transforms).all():
-        broken = int(np.flatnonzero(~np.isfinite(transforms).all(axis=(1, 2)))[0])
-        raise ValueError(f"the transform of actor {broken} of those to draw is not finite; check what sets it")
+    usable = np.abs(transforms) <= FARTHEST  # NaN is not
+    if not usable.all():
+        broken = int(np.flatnonzero(~usable.all(axis=(1, 2)))[0])
+        raise ValueError(
+            f"the transform of actor {broken} of those to draw is not finite, or far too large; check what sets it"
+        )
     groups: dict[int, list[int]] = {}
     for index, actor in enumerate(listed):
         groups.setdefault(id(actor.model), []).append(index)

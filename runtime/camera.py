@@ -16,6 +16,7 @@ from runtime.given import is_number, numbers, shown
 
 Matrix = NDArray[np.float64]
 
+FARTHEST = 1e12  # metres: what lies beyond is a mistake, and overflows on the GPU
 NEAR_OF_DISTANCE = 2e-3  # default near plane, of the distance from eye to target
 FAR_OF_DISTANCE = 1e3
 FRAMING_DIRECTION = (0.42, 0.16, 1.0)  # a little from the side and above: shows depth without hiding the face
@@ -41,8 +42,8 @@ def _vector(numbers: ArrayLike) -> Vector:
         x, y, z = (float(number) for number in numbers)  # type: ignore[union-attr, arg-type]
     except (TypeError, ValueError):
         x = y = z = math.nan
-    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-        raise RenderError("the camera's eye, target and up must be three finite numbers each")
+    if not (abs(x) <= FARTHEST and abs(y) <= FARTHEST and abs(z) <= FARTHEST):  # NaN is not
+        raise RenderError(f"the camera's eye, target and up must be three finite numbers each, up to {FARTHEST:g}")
     return x, y, z
 
 

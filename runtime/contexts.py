@@ -76,5 +76,5 @@ def require_current(ctx: moderngl.Context, what: str) -> None:
         )
     if _KNOWN.setdefault(ctx, handle) != handle:
         raise RenderError(
-            f"another OpenGL context is current than the {what}'s own: make its own current first (with ctx: …)"
+            f"another context than the {what}'s own is current: make its own current first (with ctx: …)"
         )

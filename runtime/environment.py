@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from runtime.errors import RenderError
+from runtime.given import is_number, numbers, shown
 
 NUM_LEVELS = 6  # roughness of level k is (k / 5)^2 (shaders/include/lighting.glsl)
 MAP_SIZE = 192  # a side of level 0
@@ -192,9 +193,28 @@ class Lighting:
     environment : Environment
     exposure : float
         Multiplies radiance before tone mapping.
+
+    Raises
+    ------
+    RenderError
+        If something is no number, or not finite.
     """
 
     sun_direction: tuple[float, float, float] = (0.55, 0.75, 0.65)
     sun_color: tuple[float, float, float] = (1.25, 1.18, 1.05)
     environment: Environment = field(default_factory=Environment.studio)
     exposure: float = 0.85
+
+    def __post_init__(self) -> None:
+        for name in ("sun_direction", "sun_color"):
+            value = getattr(self, name)
+            try:
+                fits = numbers(value, name).shape == (3,)
+            except ValueError:
+                fits = False
+            if not fits:
+                raise RenderError(f"lighting: {name} must be three finite numbers, not {shown(value)}")
+        if not isinstance(self.environment, Environment):
+            raise RenderError(f"lighting: environment must be a runtime.Environment, not {shown(self.environment)}")
+        if not is_number(self.exposure) or not 0.0 <= self.exposure < np.inf:
+            raise RenderError(f"lighting: exposure is {shown(self.exposure)}, it must be a number of at least 0")

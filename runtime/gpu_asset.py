@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import moderngl
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from runtime.asset import Asset
-from runtime.errors import RenderError
+from runtime.contexts import require_current
+from runtime.errors import NotCopied, RenderError
+from runtime.given import shown
 from runtime.gl_state import saved_state
 from runtime.gpu_levels import GpuLod, Levels
 from runtime.gpu_textures import (
@@ -29,22 +31,26 @@ from runtime.programs import TESSELLATION_VERSION_CODE, require_version
 
 if TYPE_CHECKING:
     from runtime.actor import Actor
+    from runtime.clip import Clip
 
 _WHITE = np.full((1, 1, 4), 255, np.uint8)
 
 
 def require_alive(ctx: moderngl.Context, what: str) -> None:
-    """Refuse a context that was released.
+    """Refuse a context that was released, or that is not current in this thread.
 
     Raises
     ------
     RenderError
     """
+    if not isinstance(ctx, moderngl.Context):
+        raise RenderError(f"a {what} needs a moderngl context, not {shown(ctx)}")
     if type(ctx.mglo).__name__ == "InvalidObject":
         raise RenderError(f"the OpenGL context of this {what} was released: make a new one")
+    require_current(ctx, what)
 
 
-class Model:
+class Model(NotCopied):
     """A built character in a context: draw any number of its actors.
 
     Parameters
@@ -212,18 +218,50 @@ class Model:
         assert self._joint_texture is not None
         self._joint_texture.use(TEXTURE_UNITS["joint_texture"])
 
-    def actor(self, clip: str | int | None = None, **options: Any) -> Actor:
-        """A new actor of this model; see `runtime.actor.Actor` for the options.
+    def actor(
+        self,
+        clip: str | int | Clip | None = None,
+        *,
+        transform: ArrayLike | None = None,
+        tint: ArrayLike = (1.0, 1.0, 1.0, 1.0),
+        root_motion: bool | str = False,
+        time_s: float = 0.0,
+        speed: float = 1.0,
+        loop: bool = True,
+    ) -> Actor:
+        """A new actor of this model.
+
+        Parameters
+        ----------
+        clip : name or number of a clip, or a Clip, optional
+            The rest pose without.
+        transform : (4, 4) float, optional
+            Object space to world; identity by default.
+        tint : (3,) or (4,) float
+            Multiplies the base colour, linear.
+        root_motion : bool or "turn"
+            Let the clip carry the actor over the ground; with "turn", turn it about +Y as well.
+        time_s, speed, loop
+            As for `Actor.play`.
 
         Raises
         ------
         ValueError
-            If there is no such clip.
+            If there is no such clip, or a number makes no sense.
         """
         from runtime.actor import Actor
 
         self.require_usable()
-        return Actor(self, clip=clip, **options)
+        return Actor(
+            self,
+            clip,
+            transform=transform,
+            tint=tint,
+            root_motion=root_motion,
+            time_s=time_s,
+            speed=speed,
+            loop=loop,
+        )
 
     def require_usable(self) -> None:
         """Refuse a model that was released, or whose context was.

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from runtime.camera import CameraMatrices
 from runtime.errors import RenderError
+from runtime.given import is_number, shown
 
 Floats = NDArray[np.floating]
 
@@ -49,8 +50,9 @@ class Quality:
 
     def __post_init__(self) -> None:
         for name in ("threshold_px", "segment_px", "texels_a_segment"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise RenderError(f"quality: {name} is {getattr(self, name)}, it must be a positive number")
+            value = getattr(self, name)
+            if not is_number(value) or not 0.0 < value < math.inf:
+                raise RenderError(f"quality: {name} is {shown(value)}, it must be a positive number")
         if self.prefer not in PREFERENCES:
             raise RenderError(f"quality: no preference {self.prefer!r}, one of {', '.join(PREFERENCES)}")
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Iterable, Mapping
-from numbers import Integral, Real
+from numbers import Integral
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import moderngl
 import numpy as np
@@ -21,8 +21,9 @@ from runtime.actor import ActorBatch, gather
 from runtime.camera import Camera, MatrixCamera
 from runtime.dual_quaternions import joint_texels
 from runtime.environment import Lighting
-from runtime.errors import RenderError
+from runtime.errors import NotCopied, RenderError
 from runtime.frame_block import FRAME_BINDING, MAX_FACTOR, FrameBlock
+from runtime.given import is_number, shown
 from runtime.gl_state import saved_state
 from runtime.gpu_asset import Model, require_alive
 from runtime.gpu_textures import NUM_TEXTURE_UNITS
@@ -44,7 +45,17 @@ def is_whole(number: object) -> bool:
     return isinstance(number, Integral) and not isinstance(number, bool)
 
 
-class Renderer:
+T = TypeVar("T")
+
+
+def checked(value: T, kind: type[T], what: str) -> T:
+    """A value of a kind, or a RenderError that names it."""
+    if not isinstance(value, kind):
+        raise RenderError(f"a renderer's {what} is a runtime.{kind.__name__}, not {shown(value)}")
+    return value
+
+
+class Renderer(NotCopied):
     """Draws actors of any models of one context.
 
     Parameters
@@ -77,7 +88,7 @@ class Renderer:
         require_alive(ctx, "renderer")
         require_version(ctx)
         self.ctx = ctx
-        self.quality = quality or Quality()
+        self._quality = checked(quality or Quality(), Quality, "quality")
         self.has_tessellation = ctx.version_code >= TESSELLATION_VERSION_CODE
         self.last_drawn: dict[Actor, DrawnActor] = {}
         if skinning not in SKINNING:
@@ -87,7 +98,7 @@ class Renderer:
         self._views = dict(VIEWS)
         self._levels: weakref.WeakKeyDictionary[Actor, int] = weakref.WeakKeyDictionary()
         self._released = False
-        self._lighting = lighting or Lighting()
+        self._lighting = checked(lighting or Lighting(), Lighting, "lighting")
         self._passes = Passes(ctx, self._defines)
         units = [*range(NUM_TEXTURE_UNITS), ctx.default_texture_unit]
         self._state = saved_state(units, (FRAME_BINDING,), self.has_tessellation)
@@ -104,11 +115,21 @@ class Renderer:
     @lighting.setter
     def lighting(self, lighting: Lighting) -> None:
         self._require_usable()
+        checked(lighting, Lighting, "lighting")
         changed = lighting.environment is not self._lighting.environment
         self._lighting = lighting
         if changed:
             with self._state:
                 self._frame.upload_lighting(lighting)
+
+    @property
+    def quality(self) -> Quality:
+        """How good pictures are to be; set it to change it."""
+        return self._quality
+
+    @quality.setter
+    def quality(self, quality: Quality) -> None:
+        self._quality = checked(quality, Quality, "quality")
 
     def add_view(self, name: str, fragment: str | Path, *, blends: bool = True) -> None:
         """Give a fragment shader of your own a name, to be drawn with `draw(..., view=name)`.
@@ -127,6 +148,8 @@ class Renderer:
         RenderError
             If the file is missing, or the name is one of the built-in views.
         """
+        if not isinstance(name, str) or not isinstance(fragment, str | Path):
+            raise RenderError(f"a view is a name and a shader's text or Path, not {shown(name)} and {shown(fragment)}")
         if name in VIEWS:
             raise RenderError(f"the view {name!r} is built in: choose another name")
         folder = None
@@ -134,6 +157,8 @@ class Renderer:
             if not fragment.is_file():
                 raise RenderError(f"no such shader file: {fragment}")
             folder, fragment = fragment.parent, fragment.read_text(encoding="utf-8")
+        elif "main" not in fragment and "#include" not in fragment:
+            raise RenderError(f"the view {name!r} has no main(): give a shader's text, or a pathlib.Path of its file")
         self._passes.forget(name)
         self._views[name] = View("", text=fragment, folder=folder, blends=blends, is_lit=True)
 
@@ -141,7 +166,7 @@ class Renderer:
 
     def draw(
         self,
-        actors: Iterable[Actor | Crowd],
+        actors: Iterable[Actor | Crowd] | Actor | Crowd,
         camera: Camera | MatrixCamera,
         *,
         view: str = "lit",
@@ -153,7 +178,7 @@ class Renderer:
 
         Parameters
         ----------
-        actors : iterable of Actor and Crowd
+        actors : iterable of Actor and Crowd, or a single one
             Invisible, released and out-of-view ones are skipped.
         camera : Camera or MatrixCamera
         view : str
@@ -176,13 +201,16 @@ class Renderer:
             If an actor's transform is not finite.
         """
         self._require_usable()
-        if view not in self._views:
-            raise RenderError(f"no view {view!r}: one of {', '.join(self._views)}")
+        if not isinstance(view, str) or view not in self._views:
+            raise RenderError(f"no view {shown(view)}: one of {', '.join(self._views)}")
+        if not hasattr(camera, "matrices"):
+            raise RenderError(f"pictures need a Camera or a MatrixCamera, not {shown(camera)}")
+        if lod != "auto" and not is_whole(lod):
+            raise RenderError(f"no level of detail {shown(lod)}: auto, or a number from 0, the finest")
+        if uniforms is not None and not isinstance(uniforms, Mapping):
+            raise RenderError(f"uniforms must be a mapping of names to values, not {shown(uniforms)}")
         factor = self._checked_tessellation(tessellation)
-        things = tuple(actors)
-        for thing in things:
-            if not hasattr(thing, "visible"):
-                raise RenderError(f"only actors and crowds can be drawn, not {thing!r:.80}")
+        things = self._listed(actors)
         crowds = [cast(DrawsItself, thing) for thing in things if hasattr(thing, "draw_in")]
         batches = gather(thing for thing in things if not hasattr(thing, "draw_in"))
         for model, _ in batches:
@@ -224,6 +252,15 @@ class Renderer:
                     )
                 )
 
+    @staticmethod
+    def _listed(actors: Any) -> tuple[Any, ...]:
+        """What is to be drawn, one by one."""
+        things = (actors,) if hasattr(actors, "visible") or not isinstance(actors, Iterable) else tuple(actors)
+        for thing in things:
+            if not hasattr(thing, "visible"):
+                raise RenderError(f"only actors and crowds can be drawn, not {shown(thing)}")
+        return things
+
     def _write_poses(self, model: Model, batch: ActorBatch) -> None:
         is_dual = self.skinning == "dual_quaternion"
         texels = joint_texels(batch.joint_rows) if is_dual else batch.joint_rows
@@ -239,16 +276,16 @@ class Renderer:
             if tessellation not in ("auto", "off"):
                 raise RenderError(f"no tessellation {tessellation!r}: auto, off or a number from 1 to {MAX_FACTOR:g}")
             return 0.0
-        if not isinstance(tessellation, Real) or not 1.0 <= tessellation <= MAX_FACTOR:
+        if not is_number(tessellation) or not 1.0 <= tessellation <= MAX_FACTOR:
             raise RenderError(f"tessellation {tessellation} is not between 1 and {MAX_FACTOR:g}")
         if not self.has_tessellation:
             raise RenderError("tessellation needs OpenGL 4.1, this context is older: draw with tessellation off")
         return float(tessellation)
 
     def _check_model(self, model: Any, lod: int | str) -> None:
-        model.require_usable()
         if model.ctx is not self.ctx:
             raise RenderError(f"the model {model.asset.name} belongs to another context than the renderer")
+        model.require_usable()
         if lod != "auto" and not (is_whole(lod) and 0 <= int(lod) < len(model.lods)):
             raise RenderError(f"{model.asset.name} has no level of detail {lod!r}: auto or 0 to {len(model.lods) - 1}")
 

@@ -262,11 +262,11 @@ def test_the_current_context_is_known(ctx: moderngl.Context) -> None:
     assert len(told) == 1 and "no OpenGL context is current in this thread" in str(told[0])
     other = moderngl.create_context(standalone=True, backend="egl")
     try:
-        refused(lambda: require_current(ctx, "renderer"), "another OpenGL context", RenderError)
+        refused(lambda: require_current(ctx, "renderer"), "another context than", RenderError)
         require_current(other, "renderer")
         with ctx:
             require_current(ctx, "renderer")
-            refused(lambda: require_current(other, "renderer"), "another OpenGL context", RenderError)
+            refused(lambda: require_current(other, "renderer"), "another context than", RenderError)
     finally:
         other.release()
 
@@ -279,3 +279,127 @@ def test_names_are_suggested_and_lists_kept_short() -> None:
     assert str(given.no_such("clip", "qqq", names, "character")).endswith("'Walk_11' and 28 more")
     assert str(given.no_such("clip", "qqq", [], "character")) == "no clip 'qqq'; the character has none"
     assert "Walking_A" in str(given.no_such("clip", "walk", ["Idle", "Walking_A"], "character"))
+
+
+@pytest.mark.parametrize(
+    ("how", "message"),
+    [
+        ({"camera": None}, "pictures need a Camera"),
+        ({"camera": (1, 2, 3)}, "pictures need a Camera"),
+        ({"view": ["lit"]}, "no view"),
+        ({"view": None}, "no view None"),
+        ({"lod": "x"}, "no level of detail 'x'"),
+        ({"lod": None}, "no level of detail None"),
+        ({"lod": 1.5}, "no level of detail 1.5"),
+        ({"lod": True}, "no level of detail True"),
+        ({"tessellation": True}, "not between 1 and 64"),
+        ({"uniforms": 3}, "uniforms must be a mapping"),
+    ],
+)
+@pytest.mark.parametrize("who", ["actor", "crowd", "nobody"])
+def test_how_to_draw_is_checked_whoever_is_drawn(
+    scene: Scene, actor: runtime.Actor, crowd: runtime.Crowd, who: str, how: dict[str, Any], message: str
+) -> None:
+    things: dict[str, list[Any]] = {"actor": [actor], "crowd": [crowd], "nobody": []}
+    arguments = {"camera": scene.camera, **how}
+    refused(lambda: scene.renderer.draw(things[who], **arguments), message, RenderError)
+
+
+def test_one_actor_or_crowd_is_drawn_without_a_list(scene: Scene, actor: runtime.Actor, crowd: runtime.Crowd) -> None:
+    for thing in (actor, crowd):
+        assert (scene.picture(thing) == scene.picture([thing])).all()
+    for thing in (None, 5, "abc", [None], [scene.model]):
+        refused(lambda thing=thing: scene.renderer.draw(thing, scene.camera), "only actors and crowds", RenderError)  # type: ignore[misc]
+
+
+def test_far_too_large_is_told_not_drawn(scene: Scene, actor: runtime.Actor) -> None:
+    actor.transform[:] = 1e200
+    refused(lambda: scene.picture([actor]), "actor 0 of those to draw is not finite, or far too large")
+    actor.transform = np.eye(4)
+    camera = runtime.Camera((1e300, 0, 0))
+    refused(lambda: scene.picture([actor], camera=camera), "the camera's eye", RenderError)
+    actor.transform[:] = 0  # shrunk to nothing
+    assert not scene.picture([actor], view="mask").any()
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"sun_direction": "x"},
+        {"sun_direction": (1, 2)},
+        {"sun_direction": (NAN, 0, 0)},
+        {"sun_color": None},
+        {"exposure": "x"},
+        {"exposure": NAN},
+        {"exposure": -1.0},
+        {"environment": 3},
+    ],
+)
+def test_light_is_numbers(how: dict[str, Any]) -> None:
+    refused(lambda: runtime.Lighting(**how), f"lighting: {next(iter(how))}", RenderError)
+
+
+def test_settings_of_a_renderer_are_of_their_kind(scene: Scene) -> None:
+    renderer = scene.renderer
+    for name in ("lighting", "quality"):
+        for value in (None, 3):
+            refused(
+                lambda name=name, value=value: setattr(renderer, name, value), f"a renderer's {name} is", RenderError
+            )  # type: ignore[misc]
+    refused(lambda: runtime.Renderer(scene.ctx, lighting=3), "a renderer's lighting is", RenderError)  # type: ignore[arg-type]
+    refused(lambda: runtime.Renderer(scene.ctx, quality=3), "a renderer's quality is", RenderError)  # type: ignore[arg-type]
+    for value in ("x", None, 0, INF):
+        refused(lambda value=value: runtime.Quality(threshold_px=value), "quality: threshold_px", RenderError)  # type: ignore[misc]
+    for arguments in ((None, "void main() {}"), ("own", None), ("own", 3)):
+        refused(lambda arguments=arguments: renderer.add_view(*arguments), "a view is a name", RenderError)  # type: ignore[misc]
+    refused(lambda: renderer.add_view("own", "toon.frag"), r"pathlib\.Path of its file", RenderError)
+    assert scene.picture([scene.model.actor()]).any()
+
+
+def test_only_a_context_is_one(scene: Scene) -> None:
+    for wrong in (None, scene.model, "egl"):
+        refused(lambda wrong=wrong: runtime.Renderer(wrong), "a renderer needs a moderngl context", RenderError)  # type: ignore[misc]
+        refused(lambda wrong=wrong: runtime.Model(wrong, scene.model.asset), "needs a moderngl context", RenderError)  # type: ignore[misc]
+
+
+def test_models_and_renderers_are_not_copied(scene: Scene) -> None:
+    for thing in (scene.model, scene.renderer):
+        for way in (copy.copy, copy.deepcopy, pickle.dumps):
+            refused(lambda way=way, thing=thing: way(thing), "cannot be copied or pickled", RenderError)  # type: ignore[misc]
+
+
+def test_nothing_is_drawn_or_made_without_its_context(scene: Scene, actor: runtime.Actor, crowd: runtime.Crowd) -> None:
+    """In another thread, and while another context is current; the picture after is as before."""
+    if current_context() is None:
+        pytest.skip("this platform cannot be asked")
+    picture = scene.picture([actor, crowd])
+    works: list[Callable[[], Any]] = [
+        lambda: scene.renderer.draw([actor], scene.camera),
+        lambda: scene.renderer.draw([crowd], scene.camera),
+        lambda: runtime.Model(scene.ctx, scene.model.asset),
+        lambda: runtime.Renderer(scene.ctx),
+        lambda: runtime.Crowd(scene.ctx, scene.model, 2),
+        lambda: runtime.pick(scene.renderer, [actor], scene.camera, (5, 5), (10, 10)),
+    ]
+    told: list[str] = []
+
+    def elsewhere() -> None:
+        for work in works:
+            try:
+                work()
+            except RenderError as error:
+                told.append(str(error))
+
+    thread = threading.Thread(target=elsewhere)
+    thread.start()
+    thread.join()
+    assert len(told) == len(works) and all("no OpenGL context is current" in text for text in told)
+    other = moderngl.create_context(standalone=True, backend="egl")
+    try:
+        for work in works:
+            refused(work, "another context than", RenderError)
+        assert other.error == "GL_NO_ERROR"
+    finally:
+        other.release()
+        scene.ctx.__enter__()
+    assert (scene.picture([actor, crowd]) == picture).all()
