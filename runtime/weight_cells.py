@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from runtime.weight_details import WeightDetails, build_quadtree, no_details
 
-RECORDS_WIDTH = 256  # records lie in rows of this many (shaders/include/skinning.glsl: RECORDS_WIDTH_LOG2)
+RECORDS_WIDTH = 64  # records lie in rows of this many (shaders/include/skinning.glsl: RECORDS_WIDTH_LOG2)
 MORE_RECORDS = 255  # in place of a record's fourth joint: the next record belongs to the cell too
 NARROW_JOINTS = 255  # up to so many joints are numbered by bytes inside the records
 JOINTS_A_RECORD = 3  # with weights of their own
@@ -35,10 +35,10 @@ class WeightCells:
         Of each cell (at least 1 x 1).
     first_divided : int
         Records from this number on are divided squares: four numbers of records, one a quarter.
-    records : (R, 256, 4) uint32
+    records : (R, 64, 4) uint32
         Four bytes of joints, then for each of the first three its weights at the texels (0,0), (1,0), (0,1), (1,1), a
         byte each, the first lowest.
-    joints : (R, 256, 4) uint16 or None
+    joints : (R, 64, 4) uint16 or None
         The joints, where there are more than bytes can number.
     max_records : int
         Most records that a cell has.

@@ -76,4 +76,4 @@ def test_dense_meshes_do_not_try_what_cannot_hold_them() -> None:
 def test_weight_maps_grow_with_the_vertices() -> None:
     sides = [weight_side(count) for count in (1, 300, 3_000, 13_000, 100_000, 10_000_000)]
     assert sides == sorted(sides) and sides[0] == WEIGHT_SIZES_PX[0] and sides[-1] == WEIGHT_SIZES_PX[-1]
-    assert weight_side(13_396) == 96
+    assert weight_side(13_396) == 48

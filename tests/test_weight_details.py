@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from preprocess.geometry.shared_leaves import share_corners
 from preprocess.geometry.weight_details import (
     WEIGHT_ALLOWED,
     WeightPoints,
@@ -192,3 +193,43 @@ def test_touched_cells_are_those_with_points_of_the_triangles(mirrored: bool) ->
     assert (touched & ~found).sum() < 0.1 * touched.sum()
     lone = np.zeros((1, 3), int)
     assert touched_cells(uvs, lone, (24, 16)).sum() <= 4 and not touched_cells(uvs, lone[:0], (24, 16)).any()
+
+
+def test_neighbours_share_what_suits_both() -> None:
+    """Four quarters of a cell, and one of another: none takes from the other cell, however well that would do."""
+    corners = np.arange(5.0)[:, None, None] * np.ones((5, 4, 2))
+    places = np.array([(0, 0), (1, 0), (0, 1), (1, 1), (2, 0)])
+    depths = np.ones(5, int)
+    leaf_of_point = np.arange(5)
+    vertices = np.array([1, 0, 0, 0, 0])
+
+    def suits(points: np.ndarray, leaves: np.ndarray) -> np.ndarray:
+        return (points != 3) & (leaves != 1)
+
+    shared = share_corners(corners, places, depths, leaf_of_point, vertices, suits)[:, 0, 0]
+    assert shared[3] == 3 and shared[4] == 4  # picky, and alone
+    assert set(shared[:3]) <= {0.0, 2.0, 3.0} and len(set(shared)) < 5
+    nothing = share_corners(corners, places, depths, leaf_of_point, vertices, lambda points, leaves: points < 0)
+    assert np.array_equal(nothing, corners)
+    everything = share_corners(corners, places, depths, leaf_of_point, vertices, lambda points, leaves: points >= 0)
+    assert len(np.unique(everything[:4, 0, 0])) == 1 and everything[4, 0, 0] == 4
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_shared_leaves_hold_corners_that_were_tried_on_all_their_points(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    finest = np.stack(np.meshgrid(np.arange(8), np.arange(8)), axis=-1).reshape(-1, 2)
+    corners = np.arange(64.0)[:, None, None] * np.ones((64, 4, 1))
+    leaf_of_point = rng.integers(0, 64, 300)
+    allowed = rng.random((300, 64)) < 0.8
+
+    def suits(points: np.ndarray, leaves: np.ndarray) -> np.ndarray:
+        return allowed[points, leaves]
+
+    vertices = np.bincount(leaf_of_point, minlength=64)
+    shared = share_corners(corners, finest, np.full(64, 1), leaf_of_point, vertices, suits)[:, 0, 0].astype(int)
+    given = shared != np.arange(64)
+    assert given.sum() > 10 and np.array_equal(shared[shared], shared)
+    for point, leaf in enumerate(leaf_of_point):
+        assert not given[leaf] or allowed[point, shared[leaf]]
+    assert (finest[given] // 2 == finest[shared[given]] // 2).all()  # of the same cell

@@ -3,7 +3,7 @@
 Positions are judged as they will be stored, after the erasure that also fits the vertices: there, between them and
 along the seams. A few vertices may miss, where more of them meet in a cell than it has texels: those are parked
 elsewhere (parking.py). Weights have quadtrees where their map is too coarse (weight_details.py), so any size is right;
-the one that takes the least memory has about a texel for every two vertices.
+the one that takes the least memory has about a texel for every five vertices.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ RMS_SHARE = 0.8  # of the accuracy goal at the vertices that stay: weights and r
 PARKED_SHARE = 0.1  # of the vertices at most
 STRAY_RMS_REL = 1.5e-3  # of the surface between vertices, of the diagonal: what divided triangles show
 JUMP_RMS_REL = 1e-4  # across seams, of the diagonal
-WEIGHT_SIZES_PX = (48, 64, 96, 128, 192, 256, 384, 512)
-WEIGHT_TEXELS_A_VERTEX = 0.5
+WEIGHT_SIZES_PX = (32, 48, 64, 96, 128, 192, 256, 384, 512)
+WEIGHT_TEXELS_A_VERTEX = 0.2
 
 
 @dataclass(frozen=True)

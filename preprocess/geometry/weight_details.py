@@ -4,7 +4,7 @@ A weight map (paper, section 8) must be fine where vertices are dense or the wei
 may be coarse elsewhere. Making all of it as fine as its worst place takes ten times the memory. So the seamless map
 stays small, and each of its 2 x 2 cells that is wrong at a vertex, or too far off between vertices, gets weights of its
 own at its corners: fitted by least squares to the vertices in it, then to the surface between them. What is still wrong
-is divided into quarters, which are fitted in turn.
+is divided into quarters, which are fitted in turn; those that can share their weights do (shared_leaves.py).
 Letters in shapes: N points, J joints, P poses, S squares, L leaves, K joints a corner.
 """
 
@@ -17,6 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from preprocess.geometry.shared_leaves import share_corners
 from preprocess.geometry.weights import pack_weights, unpack_weights
 from preprocess.mesh import Floats, TexturedSurface
 from preprocess.seams import Seams
@@ -169,6 +170,9 @@ def detail_weights(stored: Floats, points: WeightPoints, moves: Floats) -> Weigh
     places = np.stack([column, row], axis=1)
     corners = np.stack([stored[row + y, column + x] for y in (0, 1) for x in (0, 1)], axis=1)
 
+    all_points, point = points, np.arange(len(square))
+    leaf, shares = np.zeros(len(square), np.int64), np.zeros((len(square), 4))  # of each point, in the end
+    num_leaves = 0
     depths: list[NDArray[np.int64]] = []
     leaf_places: list[NDArray[np.int64]] = []
     leaves: list[Floats] = []
@@ -178,13 +182,17 @@ def detail_weights(stored: Floats, points: WeightPoints, moves: Floats) -> Weigh
         divided = np.zeros(len(places), bool)
         if depth < DEEPEST:
             divided[square[_exceeded(wrong, points, moves)]] = True
+        whole = ~divided[square]
+        leaf[point[whole]] = (num_leaves - 1 + np.cumsum(~divided))[square[whole]]
+        shares[point[whole]] = _shares(fraction[whole])
+        num_leaves += int((~divided).sum())
         depths.append(np.full(int((~divided).sum()), depth, np.int64))
         leaf_places.append(places[~divided])
         leaves.append(fitted[~divided])
         if not divided.any():
             break
         within = divided[square]
-        points, fraction = points.rows(within), 2.0 * fraction[within]
+        points, fraction, point = points.rows(within), 2.0 * fraction[within], point[within]
         quarter = np.minimum(fraction.astype(np.int64), 1)
         fraction = fraction - quarter
         of_divided = np.cumsum(divided) - 1
@@ -192,8 +200,15 @@ def detail_weights(stored: Floats, points: WeightPoints, moves: Floats) -> Weigh
         steps = np.array([(0, 0), (1, 0), (0, 1), (1, 1)])
         places = (2 * places[divided][:, None] + steps).reshape(-1, 2)
         corners = _quarters(fitted[divided])
-    joints, weights = _as_lists(np.concatenate(leaves))
-    return WeightDetails(np.concatenate(depths), np.concatenate(leaf_places), joints, weights)
+    fitted, all_depths, all_places = np.concatenate(leaves), np.concatenate(depths), np.concatenate(leaf_places)
+
+    def suits(some: NDArray[np.int64], leaves_of: NDArray[np.int64]) -> NDArray[np.bool_]:
+        wrong = np.einsum("nk,nkj->nj", shares[some], fitted[leaves_of]) - all_points.weights[some]
+        return ~_exceeded(wrong, all_points.rows(some), moves)
+
+    num_vertices = np.bincount(leaf, all_points.is_vertex, num_leaves).astype(np.int64)
+    joints, weights = _as_lists(share_corners(fitted, all_places, all_depths, leaf, num_vertices, suits))
+    return WeightDetails(all_depths, all_places, joints, weights)
 
 
 def _as_lists(corners: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

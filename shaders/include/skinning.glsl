@@ -29,7 +29,7 @@ uniform uint first_divided_record;     // from here on records are four numbers 
 uniform sampler2D joint_texture;       // three rows of a matrix a joint along x, one pose a row
 
 const uint MORE_RECORDS = 255u;        // in place of the fourth joint: further records follow
-const int RECORDS_WIDTH_LOG2 = 8;      // records are stored in rows of 256
+const int RECORDS_WIDTH_LOG2 = 6;      // records are stored in rows of 64
 
 // Matrices of 3 rows and 4 columns are held as mat3x4, a row of mathematics in each of its three vec4.
 vec3 transform_point(mat3x4 rows, vec3 point) {
