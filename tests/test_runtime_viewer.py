@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from builders_asset import build_ball
 
-from demos.options import VIEW_NAMES
+from demos.options import VIEW_NAMES, Parser, add_arguments
 from demos.orbit import Orbit
 from demos.viewer import main
 from preprocess.images import read_image
@@ -99,3 +99,11 @@ def test_framing_shows_all_of_a_box_and_little_more(aspect: float, direction: tu
     clip = corners @ matrices.clip_from_world[:, :3].T + matrices.clip_from_world[:, 3]
     place = np.abs(clip[:, :2] / clip[:, 3:])
     assert (clip[:, 3] > 0).all() and 0.75 < place.max() <= 1.0 + 1e-6
+
+
+def test_small_negative_coordinates_are_numbers() -> None:
+    """argparse takes -1e-07 for an option; a character of a few micrometres needs it."""
+    parser = Parser()
+    add_arguments(parser)
+    options = parser.parse_args(["--eye", "-1e-07", "-.5", "2E3", "--target", "-1", "-2.", "-3.5e+1"])
+    assert list(options.eye) == [-1e-07, -0.5, 2000] and list(options.target) == [-1, -2, -35]
