@@ -75,6 +75,4 @@ def require_current(ctx: moderngl.Context, what: str) -> None:
             "the context current here"
         )
     if _KNOWN.setdefault(ctx, handle) != handle:
-        raise RenderError(
-            f"another context than the {what}'s own is current: make its own current first (with ctx: …)"
-        )
+        raise RenderError(f"another context than the {what}'s own is current: make its own current first (with ctx: …)")

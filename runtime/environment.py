@@ -1,10 +1,11 @@
 """Light: one sun, and all that comes from around, mirrored and on a white sheet, as small maps by direction.
 
-The maps are octahedra laid flat, which a shader finds its way in without trigonometry; what lies beyond their edges
-repeats the other side, so that filtering sees no seam. Light on a white sheet comes from nine harmonics.
+The maps are two half spheres laid flat side by side, each from the opposite pole (stereographically), in which a shader
+finds its way without trigonometry. Each goes on a little beyond the horizon, so that filtering sees no seam. Light on a
+white sheet comes from nine harmonics.
 
 Sources: Ramamoorthi and Hanrahan 2001 (irradiance from nine spherical harmonics); Karis 2013 (a radiance map filtered
-a level a roughness); Engelhardt and Dachsbacher 2008 (octahedral maps).
+a level a roughness); Heidrich and Seidel 1998 (maps of two half spheres).
 """
 
 from __future__ import annotations
@@ -19,25 +20,19 @@ from runtime.errors import RenderError
 from runtime.given import is_number, numbers, shown
 
 NUM_LEVELS = 6  # roughness of level k is (k / 5)^2 (shaders/include/lighting.glsl)
-MAP_SIZE = 192  # a side of level 0
-REACH = 5 / 6  # of it belongs to the octahedron; the rest is half a texel a side at the last level
+MAP_SIZE = 160  # a side of a half sphere's square at level 0
+REACH = 0.8  # of it belongs to the half sphere; the rest is half a texel a side at the last level
 PANORAMA_SIZE = (128, 256)  # rows, columns that a panorama is brought to
 FILTER_SIZE = (32, 64)  # what the rough levels are filtered from
 
 
 def map_directions(size: int) -> NDArray[np.float64]:
-    """Unit vectors (size, size, 3) of an octahedral map's texels: x along columns, z along rows, +Y in the middle."""
+    """Unit vectors (size, 2 size, 3) of a light map's texels: x along columns, z along rows, +Y in the left middle."""
     places = ((np.arange(size) + 0.5) / size * 2 - 1) / REACH
     x, z = np.meshgrid(places, places)
-    for one, other in ((x, z), (z, x)):  # over an edge: back on the same side, mirrored
-        beyond = np.abs(one) > 1
-        one[beyond] = np.sign(one[beyond]) * 2 - one[beyond]
-        other[beyond] *= -1
-    y = 1 - np.abs(x) - np.abs(z)
-    folded = (1 - np.abs(z)) * np.where(x < 0, -1, 1), (1 - np.abs(x)) * np.where(z < 0, -1, 1)
-    below = y < 0
-    directions = np.stack([np.where(below, folded[0], x), y, np.where(below, folded[1], z)], axis=-1)
-    return np.asarray(directions / np.linalg.norm(directions, axis=-1, keepdims=True))
+    far_sq = x * x + z * z
+    upper = np.stack([2 * x, 1 - far_sq, 2 * z], axis=-1) / (1 + far_sq)[..., None]
+    return np.concatenate([upper, upper * (1, -1, 1)], axis=1)
 
 
 def _directions(rows: int, columns: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -107,7 +102,7 @@ def _filtered(image: NDArray[np.float64], size: int, roughness: float) -> NDArra
     lobe = np.maximum(cosine, 0) / np.square(n_dot_h_sq * (alpha_sq - 1) + 1)
     lobe *= np.repeat(solid_angle, image.shape[1]).astype(np.float32)
     filtered = (lobe @ image.reshape(-1, 3).astype(np.float32)) / lobe.sum(axis=1, keepdims=True)
-    return filtered.reshape(size, size, 3).astype(np.float64)
+    return filtered.reshape(directions.shape).astype(np.float64)
 
 
 @dataclass(frozen=True)
@@ -118,7 +113,7 @@ class Environment:
     ----------
     irradiance : (9, 3) float64
         Coefficients of the diffuse light, as the radiance of a white sheet.
-    levels : tuple of 6 arrays (192 >> k, 192 >> k, 3) float64
+    levels : tuple of 6 arrays (160 >> k, 320 >> k, 3) float64
         Mirrored radiance in the directions of `map_directions`; level k for the roughness (k / 5)^2.
     """
 

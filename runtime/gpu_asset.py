@@ -6,6 +6,7 @@ Everything is uploaded in `Model(ctx, asset)` and freed in `release()`. The call
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 import moderngl
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from runtime.actor import Actor
     from runtime.clip import Clip
 
+_NUMBERS = count()  # a model's, never given twice
 _WHITE = np.full((1, 1, 4), 255, np.uint8)
 
 
@@ -89,6 +91,8 @@ class Model(NotCopied):
         asset = prepared.asset
         self.ctx = ctx
         self.asset = asset
+        self.number = next(_NUMBERS)
+        self.define_names: dict[tuple[int, int], tuple[str, ...]] = {}  # by level and material (runtime/passes.py)
         self.mixer = Mixer(asset.skeleton, asset.clips)
         self.has_patches = ctx.version_code >= TESSELLATION_VERSION_CODE
         self._released = False

@@ -405,9 +405,10 @@ class Mixer:
 
     def _refresh(self, rows: Rows) -> None:
         """Bring the matrices of some rows up to date."""
-        stale = np.unique(rows[self._dirty[rows]])
-        if not len(stale):
+        dirty = self._dirty[rows]
+        if not dirty.any():
             return
+        stale = np.unique(rows[dirty])
         given = self._given.matrices(stale)
         nodes = np.empty((len(stale), self.skeleton.num_nodes, 3, 4), dtype=_DTYPE)
         self._joint_rows[stale] = skinning_rows(self.skeleton, self.pose(stale), given, nodes)

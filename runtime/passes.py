@@ -117,9 +117,14 @@ class Passes:
     ) -> moderngl.Program:
         """The program for a material of a level, with all its uniforms."""
         program = self._program(look, tessellated, model, level, material)
-        set_uniforms(program, model.constants)
-        set_material(program, material, look.view.blends)
-        set_uniforms(program, look.uniforms)
+        wanted = model.number, material, look.view.blends
+        if program.extra.prepared_for != wanted:
+            set_uniforms(program, model.constants)
+            set_material(program, material, look.view.blends)
+            program.extra.prepared_for = wanted
+        if look.uniforms:
+            set_uniforms(program, look.uniforms)
+            program.extra.prepared_for = None  # they may be anything
         return program
 
     # Drawing
@@ -211,8 +216,12 @@ def what_it_lacks(model: Model, material: MaterialData) -> tuple[str, ...]:
 def _program_key(
     name: str, tessellated: bool, model: Model, level: int, material: MaterialData
 ) -> tuple[str | bool, ...]:
-    needed = (*model.shader_defines, *model.lods[level].shader_defines)
-    return name, tessellated, *needed, *what_it_lacks(model, material)
+    known = model.define_names
+    names = known.get((level, id(material)))  # materials live as long as the model
+    if names is None:
+        names = (*model.shader_defines, *model.lods[level].shader_defines, *what_it_lacks(model, material))
+        known[level, id(material)] = names
+    return name, tessellated, *names
 
 
 def _set_state(gl: Functions, view: View) -> None:

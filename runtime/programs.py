@@ -152,12 +152,16 @@ def require_version(ctx: moderngl.Context) -> None:
         )
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Members:
-    """A program's uniforms, blocks and attributes by name, and the values that uniforms were given last."""
+    """A program's uniforms, blocks and attributes by name, and the values that uniforms were given last.
+
+    `prepared_for` is what a caller set all of them for, and asks first.
+    """
 
     uniforms: dict[str, Any]
     held: dict[str, Any]
+    prepared_for: Any = None
 
 
 _PLAIN = (tuple, float, int)  # values that can be compared

@@ -277,6 +277,7 @@ def test_what_a_material_lacks_is_left_out_unseen(scene: Scene, view: str, monke
     actor = scene.model.actor(clip="bend", time_s=0.25)
     lean = scene.picture([actor], view=view)
     assert any("NO_CUTOUT" in key for key in scene.renderer._passes._programs)
+    scene.model.define_names.clear()
     monkeypatch.setattr("runtime.passes.what_it_lacks", lambda model, material: model.channels.defines)
     assert (scene.picture([actor], view=view) == lean).all()
     assert any("NO_CUTOUT" not in key for key in scene.renderer._passes._programs)

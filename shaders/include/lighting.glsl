@@ -2,37 +2,32 @@
 //
 // Sources: glTF 2.0 specification, appendix B (the model); Walter et al. 2007 (GGX); Heitz 2014 (height-correlated
 // masking); Karis 2013 (reflection as prefiltered radiance times an integral of the BRDF alone; the fit of that integral
-// below is ours); Engelhardt and Dachsbacher 2008 (octahedral maps); Lagarde and de Rousiers 2014 (specular occlusion).
+// below is ours); Heidrich and Seidel 1998 (two half spheres); Lagarde and de Rousiers 2014 (specular occlusion).
 #ifndef LIGHTING_GLSL
 #define LIGHTING_GLSL
 
 #include "surface.glsl"
 
-// Light by direction, on octahedra: mirrored light in the upper half, six levels by roughness; in the lower half the
-// light from all around on a white sheet (runtime/environment.py).
+// Light by direction, on two half spheres each, the upper one left (runtime/environment.py): mirrored light in the upper
+// half of the texture, six levels by roughness; in the lower half the light from all around on a white sheet.
 uniform sampler2D reflection_texture;
 const float REFLECTION_LEVELS = 6.0;
-const float OCTAHEDRON_REACH = 5.0 / 6.0;  // of a half: what is beyond repeats the other side of an edge
+const float MAP_REACH = 0.8;  // of a half sphere's square; what is beyond belongs to the other one
 
-// Place of a direction, of any length, on an octahedron laid flat: -1 to 1, the edges below +Y folded outwards.
-vec2 octahedron_place(vec3 direction) {
-    vec3 reach = abs(direction);
-    vec2 place = direction.xz / (reach.x + reach.y + reach.z);
-    vec2 beyond = 1.0 - abs(place.yx);
-    vec2 folded = mix(beyond, -beyond, lessThan(place, vec2(0.0)));
-    return direction.y < 0.0 ? folded : place;
+// Where the light from a direction, a unit vector, lies in the upper half: half spheres laid flat stereographically.
+vec2 light_place(vec3 direction) {
+    float scale = MAP_REACH * 0.25 / (1.0 + abs(direction.y));
+    return direction.xz * scale + vec2(direction.y < 0.0 ? 0.75 : 0.25, 0.25);
 }
 
 // Light from all around on a diffuse surface of this normal, as the radiance of a white sheet.
 vec3 environment_diffuse(vec3 normal) {
-    vec2 place = octahedron_place(normal);
-    return textureLod(reflection_texture, place * vec2(0.5, 0.25) * OCTAHEDRON_REACH + vec2(0.5, 0.75), 0.0).rgb;
+    return textureLod(reflection_texture, light_place(normal) + vec2(0.0, 0.5), 0.0).rgb;
 }
 
 vec3 environment_reflection(vec3 direction, float roughness) {
-    vec2 place = octahedron_place(direction);
     float level = sqrt(roughness) * (REFLECTION_LEVELS - 1.0);
-    return textureLod(reflection_texture, place * vec2(0.5, 0.25) * OCTAHEDRON_REACH + vec2(0.5, 0.25), level).rgb;
+    return textureLod(reflection_texture, light_place(direction), level).rgb;
 }
 
 // Scale and bias of the reflectance at normal incidence, after the BRDF is integrated over a constant environment: a fit
@@ -48,10 +43,12 @@ vec2 reflected_share(float n_dot_v, float roughness) {
 // (n.h)^2 and (v.h)^2 need no normalising; distribution and masking share one division.
 vec3 light_directly(Surface s, vec3 diffuse_color, vec3 f0) {
     vec3 to_light = sun_direction.xyz;
-    float n_dot_l = max(dot(s.normal, to_light), 0.0);
-    float n_dot_v = max(abs(dot(s.normal, s.view)), 1e-3);
+    float towards_light = dot(s.normal, to_light);
+    float towards_eye = dot(s.normal, s.view);
+    float n_dot_l = max(towards_light, 0.0);
+    float n_dot_v = max(abs(towards_eye), 1e-3);
     float sum_sq = max(2.0 + 2.0 * dot(to_light, s.view), 1e-4);
-    float n_dot_sum = max(dot(s.normal, to_light + s.view), 0.0);
+    float n_dot_sum = max(towards_light + towards_eye, 0.0);
     float alpha = s.roughness * s.roughness;
     float alpha_sq = alpha * alpha;
     float lobe = n_dot_sum * n_dot_sum * (alpha_sq - 1.0) + sum_sq;  // times |l + v|^2
@@ -78,11 +75,13 @@ vec3 shade(Surface s) {
     }
     vec3 f0 = mix(vec3(0.04), s.base_color.rgb, s.metallic);
     vec3 diffuse_color = s.base_color.rgb * (1.0 - s.metallic);
-    float n_dot_v = clamp(abs(dot(s.normal, s.view)), 0.0, 1.0);
+    float towards_eye = dot(s.normal, s.view);
+    float n_dot_v = abs(towards_eye);
     vec2 share = reflected_share(n_dot_v, s.roughness);
     vec3 reflectance = f0 * share.x + share.y;
     vec3 around = environment_diffuse(s.normal) * diffuse_color * (1.0 - reflectance);
-    vec3 mirrored = environment_reflection(reflect(-s.view, s.normal), s.roughness) * reflectance;
+    vec3 from = s.normal * (2.0 * towards_eye) - s.view;
+    vec3 mirrored = environment_reflection(from, s.roughness) * reflectance;
 #ifndef NO_OCCLUSION
     around *= s.occlusion;
     mirrored *= reflection_occlusion(n_dot_v, s.occlusion, s.roughness);
@@ -98,7 +97,7 @@ vec3 shade(Surface s) {
 vec3 tone_map(vec3 radiance) {
     const float linear_part = 0.72;
     const float shoulder = 1.0 - linear_part;
-    vec3 color = max(radiance * sun_color.w, 0.0);
+    vec3 color = radiance * sun_color.w;
     float peak = max(max(color.r, color.g), max(color.b, 1e-6));
     float over = max(peak - linear_part, 0.0);
     float mapped = min(peak, linear_part) + shoulder * over / (over + shoulder);

@@ -70,7 +70,7 @@ vec3 turned_normal(vec3 texel) {
 #ifdef FLOAT_NORMALS
     vec3 normal = surface_normal_matrix * texel;
 #else
-    vec3 normal = surface_normal_matrix * (texel * 2.0 - 1.0);
+    vec3 normal = surface_normal_matrix * (texel - 0.5);  // half as long, and made unit
 #endif
     normal *= inversesqrt(max(dot(normal, normal), 1e-30));
 #ifdef ONE_SIDED
