@@ -193,6 +193,13 @@ def plan(folder: Path) -> list[Step]:
     return [creature, pipeline, pictures]
 
 
+def this_python() -> str:
+    """How to call this Python from the folder one is in: its virtual environment need not be active."""
+    program = Path(sys.executable)
+    here = Path.cwd()
+    return str(program.relative_to(here)) if program.is_relative_to(here) else program.name
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry of `./run demo`."""
     from preprocess.kernels import compile_quickly
@@ -210,7 +217,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise DemoError(f"cannot make {options.out}: {error.strerror}") from None
         print(f"pictures of the built-in character → {options.out}")
         run_steps(plan(options.out), options.out, options.force)
-        print(f"open {options.out / 'index.html'}   or   python -m demos.viewer")
+        print(f"open {options.out / 'index.html'}   or   {this_python()} -m demos.viewer")
 
     return run("demo", work)
 

@@ -22,6 +22,7 @@ from runtime.programs import build_program
 TURN_RAD_S = 2.4
 FADE_S = 0.25
 FIRST_RING, RING_WIDTH, WALKER_ROOM = 2.5, 0.9, 2.0  # of a character's size: the walkers' circles
+AT_REST = runtime.Clip("at rest", 0.0, ())
 LEAST_PACE = 0.35  # of a character's size a second: slower walks are played faster
 
 
@@ -135,7 +136,7 @@ class WalkScene:
         if (self.forward != 0 or self.turn != 0) != self.walking:
             self.walking = not self.walking
             clip = self.walk if self.walking else self.idle
-            self.hero.play(clip or runtime.Clip("at rest", 0.0, ()), fade_s=FADE_S)
+            self.hero.play(clip or AT_REST, fade_s=FADE_S)
         if self.walking:  # turning on the spot takes small steps
             self.hero.set_speed(self.walk_speed * (self.forward or 0.6))
         self.heading += self.turn * TURN_RAD_S * dt_s

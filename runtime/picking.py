@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from runtime import gl_state
-from runtime.actor import Actor, gather
+from runtime.actor import Actor
+from runtime.actor_batch import gather
 from runtime.camera import Camera, MatrixCamera, Ray
 from runtime.crowd import Crowd
 from runtime.errors import RenderError

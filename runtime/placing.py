@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.actor import ActorBatch
+from runtime.actor_batch import ActorBatch
 from runtime.camera import CameraMatrices
 from runtime.errors import RenderError
 from runtime.gpu_asset import Model

@@ -17,7 +17,7 @@ import moderngl
 import numpy as np
 
 from runtime import gl_state
-from runtime.actor import ActorBatch, gather
+from runtime.actor_batch import ActorBatch, gather
 from runtime.camera import Camera, MatrixCamera
 from runtime.dual_quaternions import joint_texels
 from runtime.environment import Lighting

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from builders_animation import random_clip, random_skeleton
 
-from runtime.actor import Actor, gather
+from runtime.actor import Actor
+from runtime.actor_batch import gather
 from runtime.clip import Clip, Track
 from runtime.mixer import Mixer
 from runtime.pose import global_transforms, rest_pose, sample, skinning_rows
