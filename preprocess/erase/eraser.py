@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from preprocess import cholesky
 from preprocess.erase.grid import Grid
 from preprocess.erase.intervals import Intervals
 from preprocess.erase.matrix import GRADIENT_MASS, outside_force
@@ -26,6 +27,7 @@ from preprocess.erase.solve import (
     BOUND_TOLERANCE_REL,
     LIMIT_REPEATS,
     Factor,
+    factorise_bounded,
     keep_by_contrast,
     solve_bounded,
     solve_change,
@@ -214,6 +216,13 @@ class Eraser:
         """Samples along the joined seams, for rounding."""
         return build_strip(self.intervals, self.lengths_m)
 
+    @cached_property
+    def _bounded(self) -> tuple[NDArray[np.int32], cholesky.Factor]:
+        """Unknowns that stay in a range where one is given, and the system for them: needed seldom, or often."""
+        assert self.factor is not None
+        unknowns = self.grid.unknown_of(self.strip.texels)
+        return unknowns, factorise_bounded(self.factor, unknowns)
+
     def measure(self, texels: NDArray[Any], unit: float = 1.0) -> SeamMeasure:
         """Jump of a texture of the planned size across the joined seams, in a unit of the texture."""
         found = measure_intervals(texels, self.intervals, self.lengths_m)
@@ -281,7 +290,8 @@ class Eraser:
         start = free[unknowns]
         if max((lower - start).max(initial=0.0), (start - upper).max(initial=0.0)) <= BOUND_TOLERANCE_REL:
             return free, after
-        free, excess = solve_bounded(self.factor, force, jump - goal, free, unknowns, lower, upper)
+        unknowns, pulled = self._bounded
+        free, excess = solve_bounded(self.factor, pulled, force, jump - goal, free, unknowns, lower, upper)
         if excess > BOUND_TOLERANCE_REL:
             logger.info("erase: the solution leaves its range by %.1e near seams: contrast is lowered there", excess)
             free[unknowns] = (

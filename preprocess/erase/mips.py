@@ -148,7 +148,7 @@ def erase_mips(
         It ends before the first level whose inside texels erasure moves by more than this, root mean square.
     plans : dict, optional
         Erasers by (width, height) for the same surface, seams and options but for the jump limit: used where there is
-        one, and filled, so that several textures share them.
+        one, and filled, so that several textures share them. Without, each is gone before the next is made.
     samples : uvs (N, 2) and values (N, C), optional
         Values that the full size should have at points. Coarser levels are averages of it, as ever.
 
@@ -157,7 +157,6 @@ def erase_mips(
     tuple of Level
         The full size first.
     """
-    plans = {} if plans is None else plans
     height, width, _ = texels.shape
     chain: list[Level] = []
     current: NDArray[Any] = np.asarray(texels, np.float32) if levels else np.asarray(texels, np.float64)
@@ -170,9 +169,11 @@ def erase_mips(
             current = shrink(light, used, w, h)
             current[:, :, :srgb_channels] = linear_to_srgb(current[:, :, :srgb_channels])
         known = samples if used is None else None
-        if (w, h) not in plans:
-            plans[w, h] = plan_erasure(surface, seams, w, h, options, sample_uvs=None if known is None else known[0])
-        plan = plans[w, h]
+        plan = None if plans is None else plans.get((w, h))
+        if plan is None:
+            plan = plan_erasure(surface, seams, w, h, options, sample_uvs=None if known is None else known[0])
+        if plans is not None:
+            plans[w, h] = plan
         limit = options.jump_limit
         bounds = (0.0, 1.0) if levels else None
         values = None if known is None else known[1]
@@ -195,4 +196,5 @@ def erase_mips(
         chain.append(Level(result, plan.measure(current), plan.measure(erased.texels), stored))
         current = erased.texels
         used = plan.region.used
+        del plan  # before the next is made: its factors are the largest part of the memory
     return tuple(chain)

@@ -164,8 +164,23 @@ def solve_limited(factor: Factor, force: Floats, jump_before: Floats, limit: Flo
     return change, np.einsum("rc,rc->c", jump, jump), goal
 
 
+def factorise_bounded(factor: Factor, bounded: NDArray[np.int32]) -> cholesky.Factor:
+    """Factor the system with a pull on some unknowns, for `solve_bounded`.
+
+    Parameters
+    ----------
+    factor : Factor
+    bounded : (N,) int32
+        Unknowns that have bounds.
+    """
+    pull = np.zeros(factor.jump.shape[1])
+    pull[bounded] = BOUND_WEIGHT
+    return factor_symmetric(_by_columns(sparse.csr_array(factor.assemble() + sparse.diags_array(pull, format="csr"))))
+
+
 def solve_bounded(
     factor: Factor,
+    pulled: cholesky.Factor,
     force: Floats,
     jump_before: Floats,
     change: Floats,
@@ -182,6 +197,8 @@ def solve_bounded(
     Parameters
     ----------
     factor : Factor
+    pulled : cholesky.Factor
+        From `factorise_bounded`.
     force : (U, C) float64
     jump_before : (R, C) float64
     change : (U, C) float64
@@ -197,9 +214,6 @@ def solve_bounded(
     excess : float
         How far the worst one still lies outside.
     """
-    pull = np.zeros(len(force))
-    pull[bounded] = BOUND_WEIGHT
-    lu = factor_symmetric(_by_columns(sparse.csr_array(factor.assemble() + sparse.diags_array(pull, format="csr"))))
     base = force - factor.jump.T @ (factor.penalty * jump_before)
     copy = np.clip(change[bounded], lower, upper)
     dual = np.zeros_like(copy)
@@ -207,7 +221,7 @@ def solve_bounded(
     for _ in range(MAX_BOUND_REPEATS):
         target = base.copy()
         target[bounded] += BOUND_WEIGHT * (copy - dual)
-        change = lu.solve(target)
+        change = pulled.solve(target)
         here = change[bounded]
         excess = float(max((lower - here).max(), (here - upper).max()))
         if excess <= BOUND_TOLERANCE_REL:

@@ -89,10 +89,8 @@ class _Job:
 
     @property
     def key(self) -> bytes:
-        """Equal for textures that share their erasers."""
-        if self.erased_on is not None:
-            return self.name.encode()
-        return self.decision.joined.tobytes() if self.decision.num_left else b""
+        """Equal for textures that share their erasers: normals have their own, all colours one if alike in seams."""
+        return self.format.encode() + self.decision.joined.tobytes()
 
 
 class TextureStage:
@@ -126,7 +124,6 @@ class TextureStage:
         self.colors_moved = unwrapped and self.normal_uvs is not None
         self._coverage: dict[tuple[int, int], Coverage] = {}
         self._moved_coverage: dict[tuple[int, int], Coverage] = {}
-        self._plans: dict[bytes, dict[tuple[int, int], Eraser]] = {}
 
     def cover(self, width: int, height: int) -> Coverage:
         """The atlas rasterised at a size, once."""
@@ -162,9 +159,7 @@ class TextureStage:
             jobs = [self._normal(), *self._materials()]
             for job in jobs:
                 groups.setdefault(job.key, []).append(job)
-            running = [
-                pool.submit(lambda group: [self._store(job) for job in group], group) for group in groups.values()
-            ]
+            running = [pool.submit(self._store_all, group) for group in groups.values()]
             seen = {texture.name: texture for group in running for texture in group.result()}
             return [*geometry.result(), *(seen[job.name] for job in jobs)]
 
@@ -269,7 +264,12 @@ class TextureStage:
         materials = self.mesh.face_materials[self.seams.faces]
         return self.atlas.made_seams[faces, half_edge] & (materials[:, 0] == materials[:, 1])
 
-    def _store(self, job: _Job) -> StoredTexture:
+    def _store_all(self, jobs: list[_Job]) -> list[StoredTexture]:
+        """Store textures that share their erasers; a single one keeps no more than one of them at a time."""
+        plans: dict[tuple[int, int], Eraser] | None = {} if len(jobs) > 1 else None
+        return [self._store(job, plans) for job in jobs]
+
+    def _store(self, job: _Job, plans: dict[tuple[int, int], Eraser] | None = None) -> StoredTexture:
         """Erase a texture and its mip levels, rounded so that what is stored is seamless."""
         steps, left = STEPS[job.format], job.decision.num_left
         surface, seams = job.erased_on or (self.mesh.surface, self.seams)
@@ -287,7 +287,7 @@ class TextureStage:
             levels=steps,
             srgb_channels=job.srgb_channels,
             most_change=MOST_MIP_CHANGE["color" if job.srgb_channels else "other"],
-            plans=self._plans.setdefault(job.key, {}),
+            plans=plans,
             samples=job.samples,
         )
         seam: dict[str, Any] = {
