@@ -1,8 +1,9 @@
 """Wavefront OBJ files in and out, with separate indices for positions and texture coordinates.
 
-Only what a textured surface needs is read: `v`, `vt` and `f`. A vertex of the parameter mesh is a (position, uv) pair
-(paper, section 5.2: the set Z), so texture coordinates that a file repeats corner by corner are welded where they
-belong to one surface vertex and have equal values, and one that several surface vertices share is split.
+Of the shape only what a textured surface needs is read: `v`, `vt` and `f`; `read_looks` has the materials. A vertex
+of the parameter mesh is a (position, uv) pair (paper, section 5.2: the set Z), so texture coordinates that a file
+repeats corner by corner are welded where they belong to one surface vertex and have equal values, and one that
+several surface vertices share is split.
 OBJ's v runs up; ours runs down.
 """
 
@@ -10,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +22,7 @@ from numpy.typing import NDArray
 
 from preprocess.errors import InputError
 from preprocess.mesh import Floats, Ints, TexturedSurface
+from preprocess.obj_looks import ObjLooks
 
 _NEWLINE, _SPACE, _SLASH = 10, 32, 47
 
@@ -149,6 +152,14 @@ def weld_texture_vertices(faces: Ints, uvs: Floats, corner_uvs: NDArray[np.integ
     return uvs[unique // (int(faces.max()) + 1)], inverse.reshape(-1, 3).astype(np.int32)
 
 
+def clean_lines(data: bytes) -> bytes:
+    """An OBJ file's text with plain line ends, spaces for tabs, continued lines joined and nothing before keywords."""
+    data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").replace(b"\t", b" ").replace(b"\\\n", b" ") + b"\n"
+    if b"\n " in data or data[:1] == b" ":
+        data = b"\n".join(line.strip() for line in data.split(b"\n"))
+    return data
+
+
 def read_obj(path: Path) -> TexturedSurface:
     """Read the one textured surface of an OBJ file; polygons are cut into fans.
 
@@ -174,9 +185,7 @@ def read_obj(path: Path) -> TexturedSurface:
         raise InputError(f"{path}: cannot be read ({error.strerror}): give an existing OBJ file") from error
     if b"\0" in data[:4096]:
         raise InputError(f"{path.name}: not an OBJ file (it is binary): give an OBJ or glTF mesh")
-    data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").replace(b"\t", b" ").replace(b"\\\n", b" ") + b"\n"
-    if b"\n " in data or data[:1] == b" ":
-        data = b"\n".join(line.strip() for line in data.split(b"\n"))
+    data = clean_lines(data)
     buffer = np.frombuffer(data, np.uint8)
     starts = np.r_[0, np.flatnonzero(buffer == _NEWLINE)[:-1] + 1]
 
@@ -209,13 +218,57 @@ def read_obj(path: Path) -> TexturedSurface:
     return surface
 
 
-def write_obj(path: Path, surface: TexturedSurface) -> None:
+def read_looks(path: Path) -> ObjLooks | None:
+    """Materials and smoothness of the faces that `read_obj` gives, in its order; None for a file that is no OBJ.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".obj":
+        return None
+    try:
+        data = clean_lines(path.read_bytes())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}): give an existing OBJ file") from error
+    buffer = np.frombuffer(data, np.uint8)
+    breaks = np.flatnonzero(buffer == _NEWLINE)
+    faces = _select_lines(buffer, np.r_[0, breaks[:-1] + 1], b"f")
+    names: dict[str, int] = {}
+    libraries: list[Path] = []
+    lines, materials, smooth = [0], [-1], b"\nvn " in data
+    for found in re.finditer(rb"^(usemtl|mtllib|s) +(.*?) *$", data, re.MULTILINE):
+        value = found[2].decode("utf-8", errors="surrogateescape")
+        if found[1] == b"mtllib":
+            libraries += _library_paths(path.parent, value)
+        elif found[1] == b"usemtl":
+            lines.append(int(np.searchsorted(breaks, found.start())) + 1)
+            materials.append(names.setdefault(value, len(names)))
+        else:
+            smooth = smooth or value not in ("off", "0")
+    above = np.searchsorted(np.array(lines), faces.lines, side="right") - 1
+    of_line = np.array(materials, np.int32)[above]
+    of_face = np.repeat(of_line, np.maximum(faces.tokens_per_line - 2, 0))
+    return ObjLooks(tuple(dict.fromkeys(libraries)), tuple(names), of_face, smooth)
+
+
+def _library_paths(folder: Path, value: str) -> list[Path]:
+    """Files of a mtllib line: one whose name holds spaces, or several parted by them."""
+    whole = folder / value
+    return [whole] if whole.is_file() or " " not in value else [folder / part for part in value.split()]
+
+
+def write_obj(path: Path, surface: TexturedSurface, looks: ObjLooks | None = None) -> None:
     """Write a surface as OBJ with separate indices, whole or not at all; numbers survive the round trip.
 
     Parameters
     ----------
     path : Path
     surface : TexturedSurface
+    looks : ObjLooks, optional
+        Materials of its faces, and whether it is shaded smooth.
 
     Raises
     ------
@@ -226,18 +279,22 @@ def write_obj(path: Path, surface: TexturedSurface) -> None:
     corners = np.stack([surface.faces, surface.face_uvs], axis=2) + 1
     flipped = np.stack([surface.uvs[:, 0], 1.0 - surface.uvs[:, 1]], axis=1)
     parts = [
+        looks.header(path.parent) if looks else "",
         ("v %.17g %.17g %.17g\n" * len(surface.positions)) % tuple(surface.positions.ravel().tolist()),
         ("vt %.17g %.17g\n" * len(flipped)) % tuple(flipped.ravel().tolist()),
-        ("f %d/%d %d/%d %d/%d\n" * len(corners)) % tuple(corners.ravel().tolist()),
     ]
+    for keyword_lines, first, last in looks.runs() if looks else [("", 0, len(corners))]:
+        run = corners[first:last]
+        parts += [keyword_lines, ("f %d/%d %d/%d %d/%d\n" * len(run)) % tuple(run.ravel().tolist())]
     partial = path.with_name(path.name + ".partial")
     try:
-        partial.write_text("".join(parts), encoding="ascii")
+        partial.write_text("".join(parts), encoding="utf-8", errors="surrogateescape", newline="\n")
         os.replace(partial, path)
     except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}): choose another place") from error
+    finally:
         with contextlib.suppress(OSError):  # a folder that cannot be written to: nothing lies there
             partial.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be written ({error.strerror}): choose another place") from error
 
 
 def read_surface(path: Path) -> TexturedSurface:

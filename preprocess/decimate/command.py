@@ -11,7 +11,8 @@ from preprocess.decimate.topology import check_surface
 from preprocess.errors import InputError
 from preprocess.folder import check_not_input
 from preprocess.mesh import TexturedSurface
-from preprocess.obj import read_surface, write_obj
+from preprocess.obj import read_looks, read_surface, write_obj
+from preprocess.obj_looks import ObjLooks
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,14 +39,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _straightened(surface: TexturedSurface, tolerance_rel: float | None) -> TexturedSurface:
+def _straightened(
+    surface: TexturedSurface, looks: ObjLooks | None, tolerance_rel: float | None
+) -> tuple[TexturedSurface, ObjLooks | None]:
     if tolerance_rel is None:
-        return surface
+        return surface, looks
     if not 0.0 < tolerance_rel < 0.5:
         raise InputError(f"--straighten {tolerance_rel:g} is not between 0 and 0.5: give a fraction such as 0.01")
     from preprocess.straighten import straighten
 
-    return straighten(surface, tolerance_rel).surface
+    result = straighten(surface, tolerance_rel)
+    return result.surface, looks.of(result.split.face_source) if looks else None
 
 
 def _decimated(surface: TexturedSurface, arguments: argparse.Namespace, num_faces: int) -> tuple[Chain, str]:
@@ -75,10 +79,10 @@ def run(arguments: argparse.Namespace) -> None:
     check_not_input(arguments.output, [arguments.mesh])
     source = read_surface(arguments.mesh)
     check_surface(source)
-    surface = _straightened(source, arguments.straighten)
+    surface, looks = _straightened(source, read_looks(arguments.mesh), arguments.straighten)
     chain, requested = _decimated(surface, arguments, len(source.faces))
     lod = chain.lods[0]
-    write_obj(arguments.output, lod.surface)
+    write_obj(arguments.output, lod.surface, looks.of(lod.face_source) if looks else None)
     reached = f"{lod.num_faces} faces" + (f", error {lod.error_m:.3g} m" if arguments.error is not None else "")
     print(f"{arguments.mesh.name}: {len(source.faces)} faces, requested {requested}, reached {reached}")
     for warning in chain.warnings:

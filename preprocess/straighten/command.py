@@ -11,7 +11,8 @@ from pathlib import Path
 from preprocess.errors import InputError
 from preprocess.folder import MANIFEST, check_destination, whole_folder
 from preprocess.images import Image, read_image, write_image
-from preprocess.obj import read_surface, write_obj
+from preprocess.obj import read_looks, read_surface, write_obj
+from preprocess.obj_looks import ObjLooks, move_library
 from preprocess.straighten.driver import DEFAULT_DISTORTION, DEFAULT_TOLERANCE_REL, Straightened, straighten
 from preprocess.straighten.warp import Warp, find_warp
 
@@ -81,7 +82,10 @@ def run(arguments: argparse.Namespace) -> int:
     images = [read_image(path, path.name) for path in arguments.images]
     result = straighten(surface, arguments.tolerance, most_distortion=arguments.most_distortion)
     with whole_folder(destination) as folder:
-        write_obj(folder / mesh_name, result.surface)
+        looks = read_looks(arguments.mesh)
+        if looks is not None:
+            looks = _bring_libraries(looks.of(result.split.face_source), folder, destination, names)
+        write_obj(folder / mesh_name, result.surface, looks)
         warps: dict[tuple[int, int], Warp] = {}
         for name, image in zip(names, images, strict=True):
             write_image(folder / name, _warp(image, result, warps))
@@ -98,6 +102,18 @@ def run(arguments: argparse.Namespace) -> int:
     if result.folded:
         print(f"{result.folded} faces are folded or have no area in the mesh's own texture coordinates and stay so")
     return 0
+
+
+def _bring_libraries(looks: ObjLooks, folder: Path, destination: Path, images: list[str]) -> ObjLooks:
+    """Write the mesh's material libraries beside it, naming the warped images; the looks that name these."""
+    brought = []
+    for library in looks.libraries:
+        if library.is_file() and library.name not in (MANIFEST, *images):
+            text = library.read_text(encoding="utf-8", errors="surrogateescape")
+            moved = move_library(text, library.parent, destination, images)
+            (folder / library.name).write_text(moved, encoding="utf-8", errors="surrogateescape")
+            brought.append(folder / library.name)
+    return dataclasses.replace(looks, libraries=tuple(brought))
 
 
 def _warp(image: Image, result: Straightened, warps: dict[tuple[int, int], Warp]) -> Image:
