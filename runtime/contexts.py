@@ -53,6 +53,25 @@ def current_context() -> int | None:
     return next((handle for handle in (ask() for ask in questions) if handle), 0)
 
 
+def is_gone(ctx: moderngl.Context) -> bool:
+    """Whether a context was released."""
+    return type(ctx.mglo).__name__ == "InvalidObject"
+
+
+def can_free(ctx: moderngl.Context, what: str) -> bool:
+    """Whether objects of a context can be freed now; False where they went with their context or no context is current.
+
+    Raises
+    ------
+    RenderError
+        While another context is current: its own objects of the same numbers would be freed.
+    """
+    if is_gone(ctx) or current_context() == 0:
+        return False
+    require_current(ctx, what)
+    return True
+
+
 def require_current(ctx: moderngl.Context, what: str) -> None:
     """Refuse to go on unless a context is current in this thread: the one that was when it was first asked for.
 

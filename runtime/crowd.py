@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from runtime import gl_state
 from runtime.actor import joint_boxes_of
 from runtime.clip import Clip
-from runtime.contexts import require_current
+from runtime.contexts import can_free, require_current
 from runtime.crowd_bake import MAX_ROWS, bake_clips
 from runtime.crowd_levels import CrowdLevel, LevelMesh, bake_level_places, model_meshes, upload_level
 from runtime.crowd_passes import CrowdPasses
@@ -284,8 +284,9 @@ class Crowd(NotCopied):
         """Free what the crowd made. May be called more than once; the model stays."""
         if self._released:
             return
+        can_free_now = can_free(self.ctx, "crowd")
         self._released = True
-        if type(self.ctx.mglo).__name__ == "InvalidObject":
+        if not can_free_now:
             return
         if hasattr(self, "_passes"):
             self._passes.release()

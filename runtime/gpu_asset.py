@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from runtime.asset import Asset
-from runtime.contexts import require_current
+from runtime.contexts import can_free, is_gone, require_current
 from runtime.errors import NotCopied, RenderError
 from runtime.given import shown
 from runtime.gl_state import saved_state
@@ -47,7 +47,7 @@ def require_alive(ctx: moderngl.Context, what: str) -> None:
     """
     if not isinstance(ctx, moderngl.Context):
         raise RenderError(f"a {what} needs a moderngl context, not {shown(ctx)}")
-    if type(ctx.mglo).__name__ == "InvalidObject":
+    if is_gone(ctx):
         raise RenderError(f"the OpenGL context of this {what} was released: make a new one")
     require_current(ctx, what)
 
@@ -304,8 +304,9 @@ class Model(NotCopied):
         """Free everything on the GPU. May be called more than once."""
         if self._released:
             return
+        can_free_now = can_free(self.ctx, "model")
         self._released = True
-        if type(self.ctx.mglo).__name__ == "InvalidObject":
+        if not can_free_now:
             return
         self.levels.release()
         for thing in [*self._owned, self._joint_texture]:

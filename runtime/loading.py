@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 BUDGET_S = 0.002  # of a frame: an eighth of one at 60 a second
 
 
-def _read(path: Path, position_format: str) -> Prepared:
+def _read(path: str | Path, position_format: str) -> Prepared:
     """Everything that needs no context; what a model imports late is imported here, not in a frame."""
     import_module("runtime.mixer")
     return prepare(load(path), position_format)
@@ -45,7 +45,7 @@ class Loading:
         self._model: Model | None = None
         self._done = False
         pool = ThreadPoolExecutor(1, thread_name_prefix="seamskin-load")
-        self._reading: Future[Prepared] = pool.submit(_read, Path(path), position_format)
+        self._reading: Future[Prepared] = pool.submit(_read, path, position_format)
         pool.shutdown(wait=False)
 
     def step(self, budget_s: float = BUDGET_S) -> Model | None:

@@ -19,6 +19,7 @@ import numpy as np
 from runtime import gl_state
 from runtime.actor_batch import ActorBatch, gather
 from runtime.camera import Camera, MatrixCamera
+from runtime.contexts import can_free
 from runtime.dual_quaternions import joint_texels
 from runtime.environment import Lighting
 from runtime.errors import NotCopied, RenderError
@@ -293,8 +294,9 @@ class Renderer(NotCopied):
         """Free programs and buffers. May be called more than once; models are not released."""
         if self._released:
             return
+        can_free_now = can_free(self.ctx, "renderer")
         self._released = True
-        if type(self.ctx.mglo).__name__ == "InvalidObject":
+        if not can_free_now:
             return
         self._passes.release()
         self._frame.release()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import pickle
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -233,6 +234,10 @@ def test_framing_needs_a_box(arguments: Any) -> None:
 def test_a_path_is_told_from_what_is_none(tmp_path: Path) -> None:
     for path in (None, 3, b"folder"):
         refused(lambda path=path: runtime.load(path), "loaded from the path", AssetError)  # type: ignore[misc]
+    loading = runtime.Loading(None, None)  # type: ignore[arg-type]
+    with pytest.raises(AssetError, match="loaded from the path"):
+        while loading.step() is None:
+            time.sleep(0.001)
     model = tmp_path / "human.glb"
     model.touch()
     refused(lambda: runtime.load(model), "is a file, not a built character", AssetError)
@@ -403,3 +408,39 @@ def test_nothing_is_drawn_or_made_without_its_context(scene: Scene, actor: runti
         other.release()
         scene.ctx.__enter__()
     assert (scene.picture([actor, crowd]) == picture).all()
+
+
+def test_nothing_is_freed_in_another_context(scene: Scene) -> None:
+    """Objects are numbers: 'texture 3' of a model is somebody else's texture in another context."""
+    if current_context() is None:
+        pytest.skip("this platform cannot be asked")
+    things = [runtime.Crowd(scene.ctx, scene.model, 2), scene.model, scene.renderer]
+    other = moderngl.create_context(standalone=True, backend="egl")
+    textures = [other.texture((1, 1), 4, bytes([number] * 4)) for number in range(12)]
+    try:
+        for thing in things:
+            refused(thing.release, "another context than", RenderError)
+        assert [texture.read()[0] for texture in textures] == list(range(12))
+    finally:
+        other.release()
+        scene.ctx.__enter__()
+    assert scene.picture([scene.model.actor(), things[0]]).any()
+    things[0].release()
+
+
+def test_what_outlives_its_window_is_released_without_a_word(ball: Any) -> None:
+    """A window that is gone leaves no context current; the objects went with it."""
+    context = moderngl.create_context(standalone=True, backend="egl")
+    model = runtime.Model(context, ball)
+    things = [runtime.Crowd(context, model, 2), runtime.Renderer(context), model]
+
+    def elsewhere() -> None:
+        for thing in things:
+            thing.release()
+
+    thread = threading.Thread(target=elsewhere)
+    thread.start()
+    thread.join()
+    for thing in things:
+        thing.release()
+    context.release()
