@@ -1,6 +1,8 @@
 """A result folder appears whole or not at all."""
 
 import signal
+import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -110,3 +112,24 @@ def test_an_input_is_never_the_output(tmp_path: Path) -> None:
     link.symlink_to(source)
     with pytest.raises(InputError, match="is the input itself"):
         check_not_input(link, [source])
+
+
+def test_an_interrupt_does_not_wait_for_other_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A factorisation of a large system takes minutes and cannot be stopped from outside."""
+    from preprocess.textures.stage import TextureStage
+
+    release = threading.Event()
+
+    def interrupt(self: TextureStage) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(TextureStage, "position", lambda self: release.wait(30))
+    monkeypatch.setattr(TextureStage, "weights", lambda self: None)
+    monkeypatch.setattr(TextureStage, "_normal", interrupt)
+    start = time.monotonic()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            object.__new__(TextureStage).build()
+        assert time.monotonic() - start < 10
+    finally:
+        release.set()

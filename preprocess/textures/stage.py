@@ -153,7 +153,8 @@ class TextureStage:
 
     def build(self) -> list[StoredTexture]:
         """Every texture, on two threads; those with the same joined seams share their erasers and a thread."""
-        with ThreadPoolExecutor(2) as pool:
+        pool = ThreadPoolExecutor(2)
+        try:
             geometry = pool.submit(lambda: [self.position(), self.weights()])
             groups: dict[bytes, list[_Job]] = {}
             jobs = [self._normal(), *self._materials()]
@@ -162,6 +163,8 @@ class TextureStage:
             running = [pool.submit(self._store_all, group) for group in groups.values()]
             seen = {texture.name: texture for group in running for texture in group.result()}
             return [*geometry.result(), *(seen[job.name] for job in jobs)]
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)  # an interrupt does not wait for a long factorisation
 
     def level_normal_uvs(self, lods: Sequence[Lod]) -> list[Floats | None]:
         """Where each level's corners sample the normal texture, (F, 3, 2); None where that is at their own uvs."""
