@@ -215,21 +215,24 @@ def solve_bounded(
         How far the worst one still lies outside.
     """
     base = force - factor.jump.T @ (factor.penalty * jump_before)
+    change = change.copy()
     copy = np.clip(change[bounded], lower, upper)
     dual = np.zeros_like(copy)
-    excess = np.inf
+    excess = np.full(force.shape[1], np.inf)
+    left = np.arange(force.shape[1])  # channels that are not there yet
     for _ in range(MAX_BOUND_REPEATS):
-        target = base.copy()
-        target[bounded] += BOUND_WEIGHT * (copy - dual)
-        change = pulled.solve(target)
-        here = change[bounded]
-        excess = float(max((lower - here).max(), (here - upper).max()))
-        if excess <= BOUND_TOLERANCE_REL:
+        target = base[:, left]
+        target[bounded] += BOUND_WEIGHT * (copy[:, left] - dual[:, left])
+        change[:, left] = pulled.solve(target)
+        here = change[np.ix_(bounded, left)]
+        excess[left] = np.maximum(lower[:, left] - here, here - upper[:, left]).max(axis=0)
+        relaxed = RELAXATION * here + (1 - RELAXATION) * copy[:, left]
+        copy[:, left] = np.clip(relaxed + dual[:, left], lower[:, left], upper[:, left])
+        dual[:, left] += relaxed - copy[:, left]
+        left = np.flatnonzero(excess > BOUND_TOLERANCE_REL)
+        if not len(left):
             break
-        relaxed = RELAXATION * here + (1 - RELAXATION) * copy
-        copy = np.clip(relaxed + dual, lower, upper)
-        dual += relaxed - copy
-    return change, excess
+    return change, float(excess.max())
 
 
 def keep_by_contrast(values: Floats, strip: SeamStrip, lower: Floats, upper: Floats) -> Floats:

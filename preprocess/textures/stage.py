@@ -160,7 +160,8 @@ class TextureStage:
             jobs = [self._normal(), *self._materials()]
             for job in jobs:
                 groups.setdefault(job.key, []).append(job)
-            running = [pool.submit(self._store_all, group) for group in groups.values()]
+            longest_first = sorted(groups.values(), key=len, reverse=True)
+            running = [pool.submit(self._store_all, group) for group in longest_first]
             seen = {texture.name: texture for group in running for texture in group.result()}
             return [*geometry.result(), *(seen[job.name] for job in jobs)]
         finally:
