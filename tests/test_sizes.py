@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from preprocess.geometry.sizes import (
     GEOMETRY_SIZES_PX,
+    STRIDE,
     WEIGHT_SIZES_PX,
     Positions,
     smallest_positions,
@@ -48,7 +50,7 @@ def test_the_first_good_size_is_taken() -> None:
         return Positions(flat_texels(side), flat_texels(side, 0.0 if side >= 80 else 0.05), 0.0)
 
     positions = smallest_positions(surface, surface.positions, bake)
-    assert tried == [side for side in GEOMETRY_SIZES_PX if side <= 80]
+    assert tried == [48, 64, 80, 72, 76]
     assert positions.baked.shape == positions.erased.shape == (80, 80, 3)
 
 
@@ -61,6 +63,22 @@ def test_open_seams_ask_for_more_texels() -> None:
     assert smallest_positions(surface, surface.positions, bake).erased.shape[0] == 192
 
 
+@pytest.mark.parametrize("least", GEOMETRY_SIZES_PX)
+def test_the_smallest_good_size_is_found(least: int) -> None:
+    """Where all larger sizes are good too; with few more tries than steps."""
+    square, tried = a_square(), []
+    positions = np.r_[np.zeros((4, 3)), np.ones((1, 3))]  # all in one place, but for one that no face has
+    surface = TexturedSurface(positions, square.faces, square.uvs, square.face_uvs)
+
+    def bake(side: int) -> Positions:
+        tried.append(side)
+        return Positions(np.zeros((1, side, 3)), np.zeros((1, side, 3)), 0.0 if side >= least else 1.0)
+
+    found = smallest_positions(surface, np.zeros((4, 3)), bake)
+    assert found.erased.shape[1] == least
+    assert len(tried) <= GEOMETRY_SIZES_PX.index(least) / STRIDE + 4
+
+
 def test_dense_meshes_do_not_try_what_cannot_hold_them() -> None:
     surface, tried = a_square(), []
     many = TexturedSurface(surface.positions, surface.faces, np.tile(surface.uvs, (2500, 1)), surface.face_uvs)
@@ -70,7 +88,7 @@ def test_dense_meshes_do_not_try_what_cannot_hold_them() -> None:
         return Positions(flat_texels(side), flat_texels(side), 0.0)
 
     smallest_positions(many, np.tile(surface.positions, (2500, 1)), bake)
-    assert tried == [128]  # 10,000 texture vertices
+    assert tried == [176]  # 10,000 texture vertices
 
 
 def test_weight_maps_grow_with_the_vertices() -> None:

@@ -10,14 +10,15 @@ from preprocess.erase import LOCAL, EraseOptions, plan_erasure
 from preprocess.geometry.bake import bake_positions, bake_weights, settle_weights, vertex_values
 from preprocess.geometry.sizes import Positions, smallest_positions, weight_side
 from preprocess.geometry.weights import pack_weights, unpack_weights
-from preprocess.mesh import SkinnedMesh
+from preprocess.mesh import Floats, SkinnedMesh, TexturedSurface
 from preprocess.seams import Seams
 from preprocess.texels import snap_owner_uvs
 from preprocess.textures.stored import StoredTexture, seam_report
 
 # The surface between vertices must stay (a change of 1e4 lets it stray two to six times as far); seams are closed as
 # far as that leaves them: at the automatic size to less than a hundredth of a per cent of the diagonal, rms.
-GEOMETRY_OPTIONS = EraseOptions(weights=dataclasses.replace(LOCAL, samples=1e8, change=1e7), seam_weight=1e9)
+GEOMETRY_OPTIONS = EraseOptions(weights=dataclasses.replace(LOCAL, samples=1e8, change=1e7), seam_weight=5e9)
+RANGE_REL = 0.05  # of the diagonal: how far beyond the surface's box texels may go, which sets what 32 bits can tell
 # Joint weights run from 0 to 1 and are stored in 255 steps: held tighter, maps of few texels swing far out of that
 # range and lose more where they are cut off than they gain.
 WEIGHT_OPTIONS = EraseOptions(weights=dataclasses.replace(LOCAL, samples=1e6), seam_weight=1e6)
@@ -43,13 +44,25 @@ def store_positions(mesh: SkinnedMesh, seams: Seams, side: int | None) -> Stored
         baked = bake_positions(mesh, (side, side))
         eraser = plan_erasure(surface, seams, side, side, GEOMETRY_OPTIONS, sample_uvs=owner_uvs)
         erased = eraser.erase(baked, sample_values=expected).texels
-        return Positions(baked, erased, float(np.linalg.norm(eraser.measure(erased).rms)))
+        return Positions(baked, erased, float(np.linalg.norm(eraser.measure(erased).rms)), eraser)
 
     positions = bake(side) if side else smallest_positions(surface, expected, bake)
-    baked, erased = positions.baked, positions.erased
+    baked, erased = positions.baked, _near_the_box(positions, surface, expected)
     stored = erased.astype(np.float32)
     size = (baked.shape[1], baked.shape[0])
     return StoredTexture("position", (stored,), "float", size, seam_report(surface, seams, baked, erased, stored))
+
+
+def _near_the_box(positions: Positions, surface: TexturedSurface, expected: Floats) -> Floats:
+    """Positions erased once more, near the surface's box: single texels beside seams swing far out of it."""
+    room = RANGE_REL * surface.diagonal_m
+    low, high = surface.positions.min(axis=0) - room, surface.positions.max(axis=0) + room
+    erased, extent = positions.erased, np.maximum(high - low, 1e-30)
+    if positions.eraser is None or ((erased >= low) & (erased <= high)).all():
+        return erased
+    inside = np.clip((positions.baked - low) / extent, 0.0, 1.0)
+    again = positions.eraser.erase(inside, sample_values=(expected - low) / extent, bounds=(0.0, 1.0)).texels
+    return np.asarray(again * extent + low, np.float64)
 
 
 def store_weights(mesh: SkinnedMesh, seams: Seams, num_joints: int, side: int | None) -> StoredTexture:

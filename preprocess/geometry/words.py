@@ -28,7 +28,7 @@ from runtime.position_words import PositionWords, choose_words
 
 log = logging.getLogger(__name__)
 
-JUMP_WEIGHT = 3.0
+JUMP_WEIGHT = 1.0
 STAY = 1e-3  # of a median texel's own weight, for every squared step away from what is wanted
 REACH = 1.5  # steps that a texel may be from what is wanted
 MAX_SWEEPS = 40  # a dozen do
