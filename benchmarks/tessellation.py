@@ -20,6 +20,7 @@ from preprocess.texels import sample_bilinear
 from runtime.asset import Asset, load
 from runtime.lods import LodMesh
 from runtime.patch_faults import divided_patches
+from runtime.patches import corner_uvs
 
 FACTORS = (2, 4, 8)
 MOST_TRIANGLES = 300_000
@@ -46,18 +47,19 @@ def divided(asset: Asset, mesh: LodMesh, segments: int) -> tuple[NDArray[np.floa
     """A level's vertices and faces at rest with every edge in so many parts, and the share of faces left flat."""
     texels = asset.textures["position"].levels[0][:, :, :3].astype(np.float64)
     patches = divided_patches(asset, mesh).astype(np.int64)
-    whole = patches[:, 3::2] == patches[:, 4::2]  # edges that stay so
+    whole = patches[:, 3:9:2] == patches[:, 4:9:2]  # edges that stay so
     uvs, owners = mesh.uvs.astype(np.float64), mesh.owner_uvs.astype(np.float64)
     shares, small = _grid(segments)
+    at_corners = corner_uvs(uvs, owners, patches)
     places = np.einsum("sk,fki->fsi", shares, uvs[patches[:, :3]])
     edges = [np.flatnonzero(shares[:, (side + 2) % 3] == 0) for side in range(3)]
     for side, on_edge in enumerate(edges):
         ends = shares[on_edge][:, [side, (side + 1) % 3]]
         places[:, on_edge] = np.einsum("sk,fki->fsi", ends, uvs[patches[:, 3 + 2 * side : 5 + 2 * side]])
     for corner in range(3):
-        places[:, shares[:, corner] == 1] = owners[patches[:, corner]][:, None]
+        places[:, shares[:, corner] == 1] = at_corners[:, corner, None]
     points = sample_bilinear(texels, places.reshape(-1, 2)).reshape(*places.shape[:2], 3)
-    corners = sample_bilinear(texels, owners[patches[:, :3]].reshape(-1, 2)).reshape(-1, 3, 3)
+    corners = sample_bilinear(texels, at_corners.reshape(-1, 2)).reshape(-1, 3, 3)
     flat = np.einsum("sk,fki->fsi", shares, corners)
     for side, on_edge in enumerate(edges):
         points[:, on_edge] = np.where(whole[:, side, None, None], flat[:, on_edge], points[:, on_edge])

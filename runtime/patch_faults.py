@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from runtime.asset import Asset
 from runtime.lods import LodMesh
-from runtime.patches import build_patches
+from runtime.patches import build_patches, corner_uvs, place_corners, surface_copies
 
 Floats = NDArray[np.float32]
 
@@ -72,15 +72,15 @@ def distance_to_triangles(points: Floats, corners: Floats) -> Floats:
 def faulty_faces(
     positions: Floats, uvs: Floats, owner_uvs: Floats, patches: NDArray[np.uint32], error_m: float
 ) -> NDArray[np.bool_]:
-    """Faces with a point further than `error_m` from the flat triangle, or a part that faces backwards.
+    """Faces with a point further than `error_m` from the flat triangle as it is when whole, or a part backwards.
 
     Parameters
     ----------
     positions : (H, W, 3) float32
         The position texture, metres.
     uvs, owner_uvs : (N, 2) float32
-    patches : (F, 9) uint32
-        From `runtime.patches.build_patches`. Points of edges are fetched where the owning edge has them.
+    patches : (F, 12) uint32
+        Points of edges are fetched where the owning edge has them, corners at `runtime.patches.corner_uvs`.
     error_m : float
 
     Returns
@@ -96,8 +96,9 @@ def faulty_faces(
             on_edge = shares[:, (side + 2) % 3] == 0
             ends = shares[on_edge][:, [side, (side + 1) % 3]]
             places[:, on_edge] = np.einsum("sk,fki->fsi", ends, uvs[part[:, 3 + 2 * side : 5 + 2 * side]])
+        at_corners = corner_uvs(uvs, owner_uvs, part)
         for corner in range(3):
-            places[:, shares[:, corner] == 1] = owner_uvs[part[:, corner]][:, None]
+            places[:, shares[:, corner] == 1] = at_corners[:, corner, None]
         points = _fetch(positions, places)
         corners = _fetch(positions, owner_uvs[part[:, :3]])
         too_far = (distance_to_triangles(points, corners) > error_m).any(axis=1)
@@ -115,7 +116,7 @@ def keep_flat(patches: NDArray[np.uint32], points: NDArray[np.int64], faulty: ND
 
     Parameters
     ----------
-    patches : (F, 9) uint32
+    patches : (F, 12) uint32
     points : (N,) int64
         The surface point of each vertex.
     faulty : (F,) bool
@@ -127,7 +128,7 @@ def keep_flat(patches: NDArray[np.uint32], points: NDArray[np.int64], faulty: ND
     is_flat = np.zeros(edge.max() + 1, bool)
     is_flat[edge[faulty]] = True
     kept = patches.copy()
-    kept[:, 4::2] = np.where(is_flat[edge], patches[:, 3::2], patches[:, 4::2])
+    kept[:, 4:9:2] = np.where(is_flat[edge], patches[:, 3:9:2], patches[:, 4:9:2])
     return kept
 
 
@@ -138,9 +139,17 @@ def patch_tolerance_m(asset: Asset, mesh: LodMesh) -> float:
 
 
 def divided_patches(asset: Asset, mesh: LodMesh) -> NDArray[np.uint32]:
-    """Patches of a level in which the edges of faulty faces are owned by a single point, (F, 9) uint32."""
-    patches = build_patches(mesh.uvs, mesh.owner_uvs, mesh.triangles)
+    """Patches of a level in which the edges of faulty faces are owned by a single point, (F, 12) uint32.
+
+    Corners lie on the surface, like the points between them, but the finest level's, which never left it, and those
+    that the texture misses by more than divided triangles may stray.
+    """
     positions = np.asarray(asset.textures["position"].levels[0][:, :, :3], np.float32)
-    faulty = faulty_faces(positions, mesh.uvs, mesh.owner_uvs, patches, patch_tolerance_m(asset, mesh))
+    tolerance_m = patch_tolerance_m(asset, mesh)
+    copies = surface_copies(mesh.uvs, mesh.owner_uvs)
+    shift_m = np.linalg.norm(_fetch(positions, mesh.uvs[copies]) - _fetch(positions, mesh.owner_uvs), axis=-1)
+    moved = (shift_m <= tolerance_m) & (mesh is not asset.lods[0])
+    patches = place_corners(build_patches(mesh.uvs, mesh.owner_uvs, mesh.triangles), copies, moved)
+    faulty = faulty_faces(positions, mesh.uvs, mesh.owner_uvs, patches, tolerance_m)
     _, points = np.unique(mesh.owner_uvs, axis=0, return_inverse=True)
     return keep_flat(patches, points.ravel(), faulty)

@@ -3,6 +3,8 @@
 Copies of a surface point have the same owner uv, so the surface's edges are pairs of owner uvs. Where the two
 half-edges of an edge have different uvs (a seam), one is made the owner of all that lies between its ends: the one with
 the smaller uvs, read as numbers, which is the same choice whichever triangle asks (Castaño 2008).
+A patch ends with three more vertices, which say where its corners are fetched: vertices of coarse levels lie off the
+surface, between which a divided triangle would stand out from its neighbours' points as a spike.
 Letters in shapes: N vertices, F faces, E edges.
 """
 
@@ -11,7 +13,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-PATCH_VERTICES = 9  # 3 corners, then the two ends of the owning edge of each side
+EDGES, PLACES = slice(3, 9), slice(9, 12)  # of a patch, after its corners: ends of the owning edges; see place_corners
+PATCH_VERTICES = 12
 
 
 def _words(uvs: NDArray[np.float32]) -> NDArray[np.uint64]:
@@ -62,11 +65,47 @@ def build_patches(
     same_way = point[start[owning]] == point[start]
     own_start = np.where(same_way, start[owning], end[owning])
     own_end = np.where(same_way, end[owning], start[owning])
-    patches = np.empty((len(triangles), PATCH_VERTICES), np.uint32)
+    patches = np.empty((len(triangles), EDGES.stop), np.uint32)
     patches[:, :3] = triangles
     patches[:, 3::2] = own_start.reshape(-1, 3)
     patches[:, 4::2] = own_end.reshape(-1, 3)
     return patches
+
+
+def surface_copies(uvs: NDArray[np.float32], owner_uvs: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Of each vertex's copies (those with its owner) the one with the smallest uvs, whichever of them asks: (N,)."""
+    _, point = np.unique(_words(owner_uvs), return_inverse=True)
+    order = np.lexsort((np.arange(len(point)), _words(uvs), point))
+    first = order[np.r_[True, point[order[1:]] != point[order[:-1]]]]
+    return first[point]
+
+
+def place_corners(
+    patches: NDArray[np.uint32], copies: NDArray[np.int64], moved: NDArray[np.bool_]
+) -> NDArray[np.uint32]:
+    """Patches with the three vertices that say where their corners are fetched, (F, 12) uint32.
+
+    Parameters
+    ----------
+    patches : (F, 9) uint32
+    copies : (N,) int
+        From `surface_copies`.
+    moved : (N,) bool
+        Vertices that are fetched at the own uvs of that copy. The others stay at their owner's: a vertex of another
+        point, which is no copy, tells the shader so.
+    """
+    corners = patches[:, :3].astype(np.int64)
+    others = np.roll(corners, -1, axis=1)
+    return np.concatenate([patches, np.where(moved[corners], copies[corners], others)], axis=1).astype(np.uint32)
+
+
+def corner_uvs(
+    uvs: NDArray[np.floating], owner_uvs: NDArray[np.floating], patches: NDArray[np.integer]
+) -> NDArray[np.floating]:
+    """Where the corners of patches (F, 12) are fetched, (F, 3, 2): the twin of shaders/patch.tesc."""
+    own, place = patches[:, :3].astype(np.int64), patches[:, PLACES].astype(np.int64)
+    is_copy = (owner_uvs[place] == owner_uvs[own]).all(axis=2)
+    return np.asarray(np.where(is_copy[..., None], uvs[place], owner_uvs[own]))
 
 
 def seam_edges(

@@ -1,8 +1,9 @@
 // How finely each edge of a patch is divided.
 //
-// A patch is 9 points: 3 corners, then for each edge (from corner k to corner k + 1) the two ends of its owning edge,
+// A patch is 12 points: 3 corners, then for each edge (from corner k to corner k + 1) the two ends of its owning edge,
 // the one half-edge of the two that meet there at whose uvs both triangles evaluate what lies between (Castaño 2008,
-// "Next-generation hardware rendering of displaced subdivision surfaces"). An edge's factor comes from these ends and
+// "Next-generation hardware rendering of displaced subdivision surfaces"), and then for each corner the copy of it at
+// whose own uv it is fetched; one that is no copy leaves it at its owner's (runtime/patches.py). An edge's factor comes from these ends and
 // the corners' owners alone, which both triangles have identically, by arithmetic that does not care which end is
 // first: so both divide it alike.
 #include "include/frame.glsl"
@@ -57,7 +58,7 @@ float edge_factor(vec3 a, vec3 b, vec4 edge_uvs) {
 void main() {
     int corner = gl_InvocationID;  // outputs are indexed by the built-in name alone
     mat3x4 world = mat3x4(point_world_row0[corner], point_world_row1[corner], point_world_row2[corner]);
-    vec2 owner = point_owner_uv[corner];
+    vec2 owner = point_owner_uv[corner] == point_owner_uv[9 + corner] ? point_uv[9 + corner] : point_owner_uv[corner];
     corner_uv[gl_InvocationID] = point_uv[corner];
     corner_owner_uv[gl_InvocationID] = owner;
 #ifdef NORMAL_UV

@@ -16,6 +16,8 @@ from preprocess.decimate import (
     decimate_within,
     floor_faces,
 )
+from preprocess.decimate.lod import PEAK_WEIGHT
+from preprocess.decimate.measure import make_reference, measure
 from preprocess.decimate.vertex_cache import cache_order, miss_ratio
 from preprocess.erase import erase, measure_seams
 from preprocess.mesh import Floats, TexturedSurface
@@ -166,8 +168,8 @@ def test_ratios_and_error_targets() -> None:
     assert close.error_m <= 0.02 < 0.1 and far.error_m <= 0.1
     assert far.num_faces < close.num_faces < 768
     # Not much coarser would have done: a tenth fewer faces are beyond the bound.
-    coarser = decimate(surface, DecimateOptions(ratios=(0.85 * close.num_faces / 768,))).lods[0]
-    assert coarser.error_m > 0.02
+    coarser = decimate_to(surface, round(0.85 * close.num_faces), DecimateOptions(peak_weight=PEAK_WEIGHT)).lods[0]
+    assert measure(make_reference(surface), coarser).largest_m > 0.02
 
 
 def test_cache_order_is_a_permutation_with_few_misses() -> None:

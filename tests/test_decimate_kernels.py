@@ -12,10 +12,11 @@ from numba import njit
 from preprocess.decimate.engine import BOUNDARY_WEIGHT, make_engine
 from preprocess.decimate.floor import count_floor
 from preprocess.decimate.lod import DecimateOptions
-from preprocess.decimate.measure import blend_matrices, make_reference, measure, sample_mesh
+from preprocess.decimate.measure import make_reference, measure, sample_mesh
 from preprocess.decimate.nearest import build_tree
 from preprocess.decimate.placement import draw_position, solve_joint
 from preprocess.decimate.quadrics import FIRST, accumulate_faces, add_with_uv_held, evaluate_position
+from preprocess.decimate.skinning import make_skinning
 from preprocess.decimate.topology import NO_WEDGE, TAIL, TWIN, WEDGE, build_half_edges
 from preprocess.mesh import Floats, TexturedSurface
 from preprocess.texels import sample_bilinear
@@ -298,8 +299,9 @@ def test_blended_matrices_are_linear_in_each_face() -> None:
     surface = waves(square(4))
     rng = np.random.default_rng(3)
     poses = rng.normal(size=(2, len(surface.positions), 3, 4))
-    at_vertices = blend_matrices(surface, surface.uvs, poses)
+    skinning = make_skinning(poses, surface.faces, surface.uvs[surface.face_uvs])
+    at_vertices = skinning.at(surface.uvs)
     np.testing.assert_allclose(at_vertices, poses, atol=1e-9)
     middle = surface.uvs[surface.face_uvs[7]].mean(axis=0)[None]
     expected = poses[:, surface.faces[7]].mean(axis=1)
-    np.testing.assert_allclose(blend_matrices(surface, middle, poses)[:, 0], expected, atol=1e-12)
+    np.testing.assert_allclose(skinning.at(middle)[:, 0], expected, atol=1e-12)

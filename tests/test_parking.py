@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from preprocess.decimate import Lod
-from preprocess.geometry.parking import free_texels, park_vertices
+from preprocess.geometry.parking import _along_curve, free_texels, park_vertices
 from preprocess.settings import PARK_REL
 from preprocess.texels import sample_bilinear, snap_owner_uvs
 from runtime.touched_cells import touched_cells
 
-SIZE = (32, 32)
+SIZE = WEIGHT_SIZE = (32, 32)
+ALIKE = np.ones((13, 1))  # all on one joint
 
 
 def crowded_level(seed: int = 0) -> Lod:
@@ -36,7 +37,7 @@ def test_parked_vertices_are_exact_and_others_stay() -> None:
     texels = np.random.default_rng(1).normal(size=(*SIZE, 3)).astype(np.float32)
     wanted = lod.positions.copy()
     wanted[5] = sample_bilinear(texels, snap_owner_uvs(lod.uvs[5:6]))[0]  # one that the texture has right
-    stored, (fitted,) = park_vertices(texels, [lod], wanted, 1.0, 0.0)
+    stored, (fitted,) = park_vertices(texels, [lod], wanted, 1.0, [ALIKE], WEIGHT_SIZE)
     assert fitted.fetch_uvs is not None
     fetched = sample_bilinear(stored, fitted.fetch_uvs)
     assert np.array_equal(fetched, fitted.positions)
@@ -49,7 +50,7 @@ def test_parked_vertices_are_exact_and_others_stay() -> None:
 def test_nothing_that_triangles_read_changes() -> None:
     lod = crowded_level()
     texels = np.random.default_rng(1).normal(size=(*SIZE, 3)).astype(np.float32)
-    stored, _ = park_vertices(texels, [lod], lod.positions, 1.0, 0.0)
+    stored, _ = park_vertices(texels, [lod], lod.positions, 1.0, [ALIKE], WEIGHT_SIZE)
     rows, columns = np.nonzero(touched_cells(lod.uvs, lod.face_uvs, SIZE))
     for y in (0, 1):
         for x in (0, 1):
@@ -59,9 +60,9 @@ def test_nothing_that_triangles_read_changes() -> None:
 
 def test_free_texels_are_apart_from_triangles_and_the_edge() -> None:
     lod = crowded_level()
-    free = free_texels([lod], SIZE, 3.0 / 32)
+    free = free_texels([lod], SIZE, (8, 8))  # outermost cells end at three quarters of theirs
     assert len(np.unique(free, axis=0)) == len(free) > 500
-    assert free.min() >= 3 and free.max() <= 28
+    assert free.min() == 4 and free.max() == 27
     near = np.abs((free + 0.5) / 32 - 0.3).max(axis=1) < 0.01
     assert not near.any()
 
@@ -69,7 +70,7 @@ def test_free_texels_are_apart_from_triangles_and_the_edge() -> None:
 def test_without_room_the_error_says_so() -> None:
     lod = crowded_level()
     texels = np.zeros((2, 2, 3), np.float32)  # its one cell is read
-    stored, (fitted,) = park_vertices(texels, [lod], lod.positions, 1.0, 0.0)
+    stored, (fitted,) = park_vertices(texels, [lod], lod.positions, 1.0, [ALIKE], WEIGHT_SIZE)
     assert np.array_equal(stored, texels)
     assert fitted.error_m > PARK_REL and np.isclose(fitted.error_m, np.linalg.norm(lod.positions, axis=1).max())
 
@@ -79,5 +80,18 @@ def test_vertices_in_one_place_keep_their_uvs() -> None:
     lod.uvs[1] = (0.31, 0.3001)
     lod.uvs[2] = lod.uvs[1] + 1e-9
     texels = np.zeros((*SIZE, 3), np.float32)
-    _, (fitted,) = park_vertices(texels, [lod], np.zeros((13, 3)), 1.0, 0.0)
+    _, (fitted,) = park_vertices(texels, [lod], np.zeros((13, 3)), 1.0, [ALIKE], WEIGHT_SIZE)
     assert fitted.fetch_uvs is not None and np.array_equal(fitted.fetch_uvs, lod.uvs)
+
+
+def test_what_is_alike_is_parked_in_one_cell_of_the_weight_map() -> None:
+    lod = crowded_level()
+    texels = np.zeros((*SIZE, 3), np.float32)
+    weights = np.eye(3)[np.arange(13) % 3]
+    _, (fitted,) = park_vertices(texels, [lod], lod.positions, 1.0, [weights], (9, 9))
+    assert fitted.fetch_uvs is not None
+    places = fitted.fetch_uvs * 9 - 0.5
+    cells = np.floor(places)
+    assert (cells == cells[0]).all()  # of 3.6 x 3.6 texels
+    order = np.argsort(_along_curve(places - cells))
+    assert (np.diff(np.arange(13)[order] % 3) >= 0).all()  # joint by joint, quarter by quarter

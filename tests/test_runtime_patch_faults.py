@@ -7,7 +7,7 @@ import pytest
 
 from preprocess.texels import sample_bilinear
 from runtime.patch_faults import SEGMENTS, _fetch, _grid, distance_to_triangles, faulty_faces, keep_flat
-from runtime.patches import build_patches
+from runtime.patches import build_patches, corner_uvs, place_corners, surface_copies
 
 SIZE = 33
 
@@ -21,7 +21,7 @@ def sheet() -> np.ndarray:
 
 UVS = np.array([[0.1, 0.1], [0.9, 0.1], [0.1, 0.9], [0.9, 0.9]], np.float32)
 TRIANGLES = np.array([[0, 1, 2], [2, 1, 3]], np.uint32)
-PATCHES = build_patches(UVS, UVS, TRIANGLES)
+PATCHES = place_corners(build_patches(UVS, UVS, TRIANGLES), np.arange(4), np.zeros(4, bool))
 
 
 def test_fetching_is_the_projects_bilinear_rule() -> None:
@@ -74,8 +74,36 @@ def test_a_part_that_faces_backwards_is_a_fault_however_near_it_lies() -> None:
 
 def test_edges_of_faulty_faces_stay_whole_seen_from_both_sides() -> None:
     kept = keep_flat(PATCHES, np.arange(4), np.array([True, False]))
-    whole = kept[:, 3::2] == kept[:, 4::2]
+    whole = kept[:, 3:9:2] == kept[:, 4:9:2]
     assert whole[0].all() and whole[1].sum() == 1
     shared = next(side for side in range(3) if {TRIANGLES[1, side], TRIANGLES[1, (side + 1) % 3]} == {1, 2})
     assert whole[1, shared]
     assert (keep_flat(PATCHES, np.arange(4), np.zeros(2, bool)) == PATCHES).all()
+
+
+def test_corners_are_fetched_at_one_copy_whichever_face_asks() -> None:
+    """Two triangles over a seam: copies of a point have one owner, and the copy with the smallest uvs is its place."""
+    uvs = np.array([[0.1, 0.1], [0.4, 0.1], [0.1, 0.4], [0.6, 0.1], [0.3, 0.4], [0.9, 0.9]], np.float32)
+    owners = np.array([[0.1, 0.1], [0.8, 0.2], [0.8, 0.3], [0.8, 0.2], [0.8, 0.3], [0.9, 0.9]], np.float32)
+    copies = surface_copies(uvs, owners)
+    assert copies.tolist() == [0, 1, 2, 1, 2, 5]
+    triangles = np.array([[0, 1, 2], [4, 3, 5]], np.uint32)
+    moved = np.array([True, True, False, True, False, False])
+    patches = place_corners(build_patches(uvs, owners, triangles), copies, moved)
+    assert patches.shape == (2, 12)
+    places = corner_uvs(uvs, owners, patches)
+    assert np.array_equal(places[0], [uvs[0], uvs[1], owners[2]])
+    assert np.array_equal(places[1], [owners[2], uvs[1], owners[5]])
+
+
+def test_a_corner_off_the_surface_does_not_count_where_it_is_drawn_on_it() -> None:
+    """A lifted corner is parked in the sheet's last texel; divided, the triangle lies in the sheet but for nothing."""
+    texels = sheet()
+    texels[-1, -1] = (0.1, 0.1, 0.05)
+    parked = UVS.copy()
+    parked[0] = (SIZE - 0.5) / SIZE
+    for moved in (False, True):
+        patches = place_corners(build_patches(UVS, parked, TRIANGLES), np.arange(4), np.array([moved, 0, 0, 0], bool))
+        assert faulty_faces(texels, UVS, parked, patches, 0.051).tolist() == [False, False]
+        drawn = _fetch(texels, corner_uvs(UVS, parked, patches))
+        assert np.allclose(drawn[0, 0, 2], 0.0 if moved else 0.05)

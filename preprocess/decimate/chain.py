@@ -27,6 +27,8 @@ log = logging.getLogger(__name__)
 MIN_SAVING_REL = 0.2
 # Levels with at most this share of the faces are polished; above it witnesses are too few to tell more than quadrics.
 POLISH_BELOW_REL = 0.3
+# A level above it is polished where a face has so many witnesses, if that lowers its largest error.
+DENSE_WITNESSES = 5
 # The run may stop this far above the floor that the charts' corners set.
 NEAR_FLOOR_REL = 1.5
 # No relaxed level whose error is this share of the longest extent: where it were used, the character is two pixels.
@@ -166,6 +168,14 @@ def _measured(reference: Reference, lod: Lod, at_least_m: float) -> Lod:
     )
 
 
+def _polished_if_nearer(engine: Engine, reference: Reference) -> Engine:
+    """The state polished, if its largest error is lower then."""
+    copy = engine.copy()
+    copy.polish()
+    before, after = (measure(reference, state.snapshot()).largest_m for state in (engine, copy))
+    return copy if after < before else engine
+
+
 @dataclass(frozen=True)
 class _Attempt:
     """A relaxed level to be: the state that was reached, and what went for it."""
@@ -185,7 +195,6 @@ def _relaxed_attempt(engine: Engine, error_m: float, target: int, options: Decim
     copy.relax(options.relaxed_px * error_m / engine.metres_per_uv)
     copy.run_to(target)
     dropped = copy.drop_parts(error_m, target) if copy.num_faces > target and options.drop_parts else (0, 0.0)
-    copy.polish()
     return _Attempt(copy, *dropped)
 
 
@@ -213,6 +222,7 @@ def _relaxed_levels(
             wasteful = tried.num_faces > (1 - MIN_SAVING_REL) * last.num_faces or error_m * tried.num_faces >= score
             if wasteful or error_m > largest_m:
                 continue  # without measuring it
+            tried.engine.polish()
             lod = _measured(reference, tried.engine.snapshot(), error_m)
             if lod.error_m <= largest_m and lod.error_m * lod.num_faces < score:
                 best, best_lod = tried, lod
@@ -279,6 +289,8 @@ def decimate(
         if engine.num_faces <= POLISH_BELOW_REL * len(surface.faces):
             engine.polish()
             engine.run_to(target)  # where it was stuck, turned edges may have made room
+        elif DENSE_WITNESSES * engine.num_faces <= len(engine.mesh.points):
+            engine = _polished_if_nearer(engine, reference)
         last_error = lods[-1].error_m if lods else 0.0
         if not lods or options.ratios is not None or engine.num_faces <= (1 - MIN_SAVING_REL) * lods[-1].num_faces:
             lods.append(_measured(reference, engine.snapshot(), last_error))

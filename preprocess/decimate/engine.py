@@ -18,6 +18,7 @@ from preprocess.decimate.lod import DecimateOptions, Lod, Repairs, Strictness
 from preprocess.decimate.polish import polish
 from preprocess.decimate.quadrics import SIZE, accumulate_faces
 from preprocess.decimate.rules import Mesh
+from preprocess.decimate.skinning import Skinning, make_skinning
 from preprocess.decimate.topology import TAIL, TWIN, WEDGE, HalfEdges, build_half_edges
 from preprocess.decimate.vertex_cache import reorder
 from preprocess.decimate.witnesses import Witnesses, choose_poses, make_witnesses, no_witnesses
@@ -34,8 +35,8 @@ MIN_SHAPE = 1e-3
 BOUNDARY_WEIGHT = 1.0
 # Faces around one collapse that are looked at for their witnesses; more leave them unheard.
 FAN_SIZE = 256
-# Times every edge and vertex is tried when a level is polished.
-POLISH_SWEEPS = 2
+# Times every edge and vertex is tried when a level is polished; after each of so many rounds poses are taken anew.
+POLISH_SWEEPS, POLISH_ROUNDS = 2, 2
 
 _STRICT = {
     Strictness.NONE: rules.STRICT_NONE,
@@ -100,6 +101,8 @@ class Engine:
     metres_per_uv : float
         Square root of the surface's area over its area in uv.
     position_texture : (H, W, 3) float64, metres, or None
+    skinning : Skinning
+        Matrices in each pose, in the order of the mesh's.
     """
 
     mesh: Mesh
@@ -109,6 +112,7 @@ class Engine:
     scale_m: float
     metres_per_uv: float
     position_texture: Floats | None
+    skinning: Skinning
 
     @property
     def num_faces(self) -> int:
@@ -135,11 +139,32 @@ class Engine:
         self._forget_prices()
 
     def polish(self) -> None:
-        """Turn edges and slide vertices inside the charts to where the surface is nearer to the full mesh."""
+        """Turn edges and move vertices to where the surface is nearer to the full mesh; seams stay where they are."""
         if not self.mesh.settings[rules.PEAK] > 0.0:
             return  # nobody to say what is better
-        polish(self.mesh, POLISH_SWEEPS, np.zeros(2, np.int64))
+        for _ in range(POLISH_ROUNDS):
+            self._pose_again()
+            polish(self.mesh, POLISH_SWEEPS, np.zeros(3, np.int64))
         self._forget_prices()
+
+    def _pose_again(self) -> None:
+        """Put every vertex where its own weights put it in each pose: collapses and steps know that only nearly."""
+        mesh = self.mesh
+        if not len(self.skinning.matrices):
+            return
+        vertices, wedges = self._owners()
+        matrices = self.skinning.at(mesh.uv[wedges])
+        posed = _posed(matrices, mesh.xyz[vertices], self.centre_m, self.scale_m)
+        mesh.pose[vertices, :, : rules.POSE_ROTATION] = posed.transpose(1, 0, 2)
+        rotations = matrices[..., :3].transpose(1, 0, 2, 3).reshape(len(vertices), -1, 9)
+        mesh.pose[vertices, :, rules.POSE_ROTATION : rules.POSE_QUADRIC] = rotations
+
+    def _owners(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """The vertices that are left and a wedge of each."""
+        corners = self.mesh.links[: 3 * self.half_edges.num_faces]
+        corners = corners[corners[:, TAIL] >= 0]
+        vertices, first = np.unique(corners[:, TAIL], return_index=True)
+        return vertices, corners[first, WEDGE]
 
     def _forget_prices(self) -> None:
         mesh = self.mesh
@@ -215,7 +240,7 @@ class Engine:
         new_wedge[wedges] = np.arange(len(wedges))
         owners = np.zeros(len(mesh.xyz), np.int64)
         owners[faces[::-1].ravel()] = face_uvs[::-1].ravel()
-        if self.position_texture is None:
+        if self.position_texture is None or self.mesh.settings[rules.LIFT] > 0.0:
             positions = mesh.xyz[vertices] * self.scale_m + self.centre_m
         else:
             positions = sample_bilinear(self.position_texture, mesh.uv[owners[vertices]])
@@ -281,6 +306,7 @@ def make_engine(
     settings[rules.MIN_NORMAL_DOT] = MIN_NORMAL_DOT
     settings[rules.MIN_UV_HEIGHT] = MIN_UV_HEIGHT * min(extent_uv, 1.0)
     settings[rules.MIN_SHAPE] = MIN_SHAPE
+    settings[rules.LIFT] = options.lifted
     corners = half_edges.tail[: 3 * num_faces].reshape(-1, 3)
     matrices, witnesses = _pose(half_edges, uv, xyz, centre, scale, poses, bool(options.peak_weight))
     # Two wedges' quadrics have four faces' area between them, in each pose.
@@ -292,7 +318,7 @@ def make_engine(
     vertices[:, rules.OUT], vertices[:, rules.SILHOUETTES] = half_edges.out, half_edges.num_silhouettes
     counter = np.zeros(8, np.int64)
     counter[rules.FACES_LEFT] = num_faces
-    if position_texture is not None:
+    if position_texture is not None and not options.lifted:
         first_corner = np.unique(half_edges.tail[: 3 * num_faces], return_index=True)[1]
         xyz = sample_bilinear(texture, uv[half_edges.wedge[first_corner]])
     mesh = Mesh(
@@ -330,4 +356,5 @@ def make_engine(
         np.zeros((2, 5)),
     )
     drawn = None if position_texture is None else np.asarray(position_texture, np.float64)
-    return Engine(mesh, half_edges, repairs, centre, scale, metres_per_uv * scale, drawn)
+    skinning = make_skinning(matrices, corners, corner_uv)
+    return Engine(mesh, half_edges, repairs, centre, scale, metres_per_uv * scale, drawn, skinning)

@@ -45,6 +45,8 @@ class DecimateOptions:
         How much the largest deviation of a collapse counts beside its mean, which the quadrics know: at 1 a collapse
         costs what it would if all of an average star of faces deviated as much. 0 leaves it to the quadrics, which is
         three times as fast. None is 0 where the target is a number of faces, `PEAK_WEIGHT` where levels have an error.
+    lifted : bool
+        Whether vertices of polished levels may leave the surface, which lies inside of it wherever it bulges.
     relaxed_px : float
         Largest such distance at levels below the exact floor, in texels of the mip level they are seen at; 0 for none.
     drop_parts : bool
@@ -60,6 +62,7 @@ class DecimateOptions:
     uv_weight_rel: float = 0.05
     seam_tolerance_uv: float = 1e-9
     peak_weight: float | None = None
+    lifted: bool = True
     relaxed_px: float = 0.5
     drop_parts: bool = True
     texture_px: int = 1024

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from preprocess.decimate.lod import Lod
 from preprocess.decimate.nearest import NearestTree, build_tree
+from preprocess.decimate.skinning import Skinning, make_skinning
 from preprocess.mesh import Floats, Ints, TexturedSurface
 
 # Samples over the area of each mesh, and how many of its vertices besides; with many poses, in each of them.
@@ -59,25 +60,10 @@ def sample_mesh(positions: Floats, faces: Ints, num_samples: int = NUM_SAMPLES) 
     )
 
 
-def blend_matrices(surface: TexturedSurface, uvs: Floats, poses: NDArray[np.floating]) -> Floats:
-    """Skinning matrices at uv points: those of the surface's vertices, blended over the uv triangle there.
-
-    Parameters
-    ----------
-    surface : TexturedSurface
-    uvs : (N, 2) float64
-    poses : (P, V, 3, 4) float
-
-    Returns
-    -------
-    (P, N, 3, 4) float64
-    """
-    flat = np.zeros((len(surface.uvs), 3))
-    flat[:, :2] = surface.uvs
-    points = np.zeros((len(uvs), 3))
-    points[:, :2] = uvs
-    _, faces, weights = build_tree(flat[surface.face_uvs]).query(points)
-    return np.einsum("nk,pnkij->pnij", weights, np.asarray(poses, np.float64)[:, surface.faces[faces]])
+def _posed(positions: Floats, matrices: Floats) -> Floats:
+    """Positions (V, 3) as they are and in each pose, (1 + P, V, 3)."""
+    moved = np.einsum("pvij,vj->pvi", matrices[..., :3], positions) + matrices[..., 3]
+    return np.concatenate([positions[None], moved])
 
 
 def _normals(positions: Floats, faces: Ints) -> Floats:
@@ -95,8 +81,10 @@ class Reference:
     Attributes
     ----------
     surface : TexturedSurface
-    matrices : (P, V, 3, 4) float64, the bind pose first
-    posed : (P, V, 3) float64
+    skinning : Skinning
+        Poses besides the bind pose.
+    posed : (1 + P, V, 3) float64
+        The bind pose first.
     trees : tuple of NearestTree, one a pose
     samples : Samples
     num_samples : int
@@ -104,7 +92,7 @@ class Reference:
     """
 
     surface: TexturedSurface
-    matrices: Floats
+    skinning: Skinning
     posed: Floats
     trees: tuple[NearestTree, ...]
     samples: Samples
@@ -117,12 +105,12 @@ def make_reference(
     """Pose the full mesh and build what distances to it need; see `decimate` for the arguments."""
     if num_samples is None:
         num_samples = NUM_SAMPLES if poses is None else NUM_SAMPLES_POSED
-    bind = np.broadcast_to(np.eye(3, 4), (1, len(surface.positions), 3, 4))
-    matrices = bind.copy() if poses is None else np.concatenate([bind, np.asarray(poses, np.float64)])
-    posed = np.einsum("pvij,vj->pvi", matrices[..., :3], surface.positions) + matrices[..., 3]
+    matrices = np.zeros((0, len(surface.positions), 3, 4)) if poses is None else np.asarray(poses, np.float64)
+    posed = _posed(surface.positions, matrices)
     trees = tuple(build_tree(positions[surface.faces]) for positions in posed)
     samples = sample_mesh(surface.positions, surface.faces, num_samples)
-    return Reference(surface, matrices, posed, trees, samples, num_samples)
+    skinning = make_skinning(matrices, surface.faces, surface.uvs[surface.face_uvs])
+    return Reference(surface, skinning, posed, trees, samples, num_samples)
 
 
 @dataclass(frozen=True)
@@ -145,13 +133,7 @@ def measure(reference: Reference, lod: Lod, matrices: Floats | None = None) -> D
         Those that its vertices are drawn with in the poses, without the bind pose; None takes the surface's own.
     """
     num_samples = reference.num_samples
-    if len(reference.matrices) > 1:
-        if matrices is None:
-            matrices = blend_matrices(reference.surface, lod.uvs[lod.owner_uvs], reference.matrices[1:])
-        moved = np.einsum("pvij,vj->pvi", matrices[..., :3], lod.positions) + matrices[..., 3]
-        posed = np.concatenate([lod.positions[None], moved])
-    else:
-        posed = lod.positions[None]
+    posed = _posed(lod.positions, reference.skinning.at(lod.uvs[lod.owner_uvs]) if matrices is None else matrices)
     samples = sample_mesh(lod.positions, lod.faces, num_samples)
     largest, means, angles = 0.0, [], []
     full = reference.surface

@@ -1,7 +1,8 @@
-"""After the collapses: edges turn and vertices slide over the surface where that brings it nearer to its witnesses.
+"""After the collapses: edges turn and vertices move where that brings the surface nearer to its witnesses.
 
-Both change nothing but faces inside a chart, so seams and outlines stay as they are. What is minimised is the sum of
-the sixth powers of the witnesses' departures (witnesses.py), which the worst of them rule.
+Edges turn and vertices slide inside the charts, so seams and outlines stay as they are in uv. A vertex also leaves the
+surface: one whose vertices all lie on it is inside wherever it bulges, and as far off as it could be. What is minimised
+is the sum of the sixth powers of the witnesses' departures (witnesses.py), which the worst of them rule.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from preprocess.decimate.rules import (
     FIRST_WITNESS,
     GATHERED,
     ITS_CHART,
+    LIFT,
     MIN_NORMAL_DOT,
     MIN_SHAPE,
     MIN_UV_HEIGHT,
@@ -42,6 +44,9 @@ from preprocess.decimate.validity import position_stays, uv_area, uv_stays
 WORTH = 0.97
 # Shares of the way to a neighbour that a vertex tries, the first that helps.
 LONG_STEP, SHORT_STEP = 0.25, 0.1
+# Steps off the surface that it tries, as shares of the largest departure around it, the one that helps most.
+LONG_LIFT, SHORT_LIFT = 0.5, 0.15
+LIFT_ROW = 2  # of Mesh.work
 # A turned edge may change the normals by less than a collapse may, and its faces must be as far again from degenerate.
 MIN_TURN_DOT, TURN_MARGIN = 0.5, 4.0
 
@@ -62,93 +67,119 @@ def _sum_of_departures(m, rows, count, limit):
 
 
 @helper
-def _write_star(m, v, u, w):
-    """Write the faces around an inner vertex with it at the apex and at (u, w); returns their number, 0 if too many."""
+def _gather_star(m, v):
+    """Gather the witnesses over the faces around a vertex; returns how many there are."""
+    count = 0
+    start = m.vertices[v, OUT]
+    g = start
+    while True:
+        if m.links[g, WEDGE] >= 0:
+            count = gather(m, g // 3, count)
+        g = m.links[previous_of(g), TWIN]
+        if g == start:
+            return count
+
+
+@helper
+def _write_star(m, v, du, dv):
+    """Write the faces around a vertex with it at the apex and its uvs shifted; returns their number, 0 if too many."""
     rows = 0
     start = m.vertices[v, OUT]
     g = start
     while True:
-        if rows == len(m.fan):
-            return 0
-        write_face(m, rows, g // 3, u, w, next_of(g), previous_of(g))
-        rows += 1
+        w = m.links[g, WEDGE]
+        if w >= 0:
+            if rows == len(m.fan):
+                return 0
+            write_face(m, rows, g // 3, m.uv[w, 0] + du, m.uv[w, 1] + dv, next_of(g), previous_of(g))
+            rows += 1
         g = m.links[previous_of(g), TWIN]
         if g == start:
             return rows
 
 
 @helper
-def _star_stays(m, v, u, w):
-    """Whether no face around an inner vertex folds or degenerates with it at the apex and at (u, w)."""
+def _star_stays(m, v, du, dv):
+    """Whether no face around a vertex folds or degenerates with it at the apex and its uvs shifted."""
     x, y, z = m.work[APEX_ROW, 0], m.work[APEX_ROW, 1], m.work[APEX_ROW, 2]
     start = m.vertices[v, OUT]
     g = start
     while True:
         n, p = next_of(g), previous_of(g)
-        wedges = m.links[g, WEDGE], m.links[n, WEDGE], m.links[p, WEDGE]
-        if not uv_stays(m.uv, wedges[0], wedges[1], wedges[2], u, w, m.faces[g // 3, SIGN], m.settings[MIN_UV_HEIGHT]):
-            return False
-        b, c = m.links[n, TAIL], m.links[p, TAIL]
-        if not position_stays(m.xyz, v, b, c, x, y, z, m.settings[MIN_NORMAL_DOT], m.settings[MIN_SHAPE]):
-            return False
+        w = m.links[g, WEDGE]
+        if w >= 0:
+            u, v1, height = m.uv[w, 0] + du, m.uv[w, 1] + dv, m.settings[MIN_UV_HEIGHT]
+            if not uv_stays(m.uv, w, m.links[n, WEDGE], m.links[p, WEDGE], u, v1, m.faces[g // 3, SIGN], height):
+                return False
+            b, c = m.links[n, TAIL], m.links[p, TAIL]
+            if not position_stays(m.xyz, v, b, c, x, y, z, m.settings[MIN_NORMAL_DOT], m.settings[MIN_SHAPE]):
+                return False
         g = m.links[p, TWIN]
         if g == start:
             return True
 
 
 @helper
+def _write_lift(m, v):
+    """Write how far an inner vertex has left the position texture into the scratch; nothing where there is none."""
+    lift, wedge = m.work[LIFT_ROW], m.links[m.vertices[v, OUT], WEDGE]
+    if m.texture.shape[0] > 0:
+        draw_position(m.texture, m.uv[wedge, 0], m.uv[wedge, 1], lift)
+        for i in range(3):
+            lift[i] = m.xyz[v, i] - lift[i]
+
+
+@helper
 def _step_apex(m, v, g, step):
-    """Put the apex a step towards the neighbour at the end of g; returns the uv there."""
+    """Put the apex a step towards the neighbour at the end of g, as far off the texture as it is; returns the shift."""
     w, to = m.links[g, WEDGE], m.links[next_of(g), WEDGE]
     b = m.links[next_of(g), TAIL]
-    u, v1 = m.uv[w, 0] + step * (m.uv[to, 0] - m.uv[w, 0]), m.uv[w, 1] + step * (m.uv[to, 1] - m.uv[w, 1])
+    du, dv = step * (m.uv[to, 0] - m.uv[w, 0]), step * (m.uv[to, 1] - m.uv[w, 1])
     point = m.work[POINT_ROW]
     if m.texture.shape[0] > 0:
-        draw_position(m.texture, u, v1, point)
+        draw_position(m.texture, m.uv[w, 0] + du, m.uv[w, 1] + dv, point)
+        for i in range(3):
+            point[i] += m.work[LIFT_ROW, i]
     else:
         for i in range(3):
             point[i] = m.xyz[v, i] + step * (m.xyz[b, i] - m.xyz[v, i])
     place_apex(m, v, b, point[0], point[1], point[2])
-    return u, v1
+    return du, dv
 
 
 @helper
-def _move(m, v, b, u, w):
-    """Put an inner vertex at the apex and at (u, w), on its way to its neighbour b, in every pose."""
+def _move(m, v, b, rows, count):
+    """Put a vertex at the apex, on its way to its neighbour b, in every pose; its star is in the fan."""
     x, y, z = m.work[APEX_ROW, 0], m.work[APEX_ROW, 1], m.work[APEX_ROW, 2]
     point = m.work[POINT_ROW]
     for p in range(m.pose.shape[1]):
         pose_position(m.pose, m.xyz, v, b, x, y, z, p, point)
         for i in range(3):
             m.pose[v, p, i] = point[i]
-    wedge = m.links[m.vertices[v, OUT], WEDGE]
     m.xyz[v, 0], m.xyz[v, 1], m.xyz[v, 2] = x, y, z
-    m.uv[wedge, 0], m.uv[wedge, 1] = u, w
+    for i in range(rows):
+        m.faces[int(m.fan[i, 0]), FIRST_WITNESS] = -1
+    hand_over(m, rows, count)
 
 
 @helper
 def _slide(m, v):
     """Move an inner vertex a step towards the neighbour where that helps most, if it helps."""
     start = m.vertices[v, OUT]
-    count = 0
-    g = start
-    while True:
-        count = gather(m, g // 3, count)
-        g = m.links[previous_of(g), TWIN]
-        if g == start:
-            break
+    count = _gather_star(m, v)
     wedge = m.links[start, WEDGE]
     set_apex(m, v)
-    rows = _write_star(m, v, m.uv[wedge, 0], m.uv[wedge, 1])
+    rows = _write_star(m, v, 0.0, 0.0)
     if rows == 0 or count == 0:
         return False
+    _write_lift(m, v)
     least, best, step = WORTH * _sum_of_departures(m, rows, count, math.inf), -1, LONG_STEP
     while True:
         g = start
         while True:
-            u, w = _step_apex(m, v, g, step)
-            if _star_stays(m, v, u, w):
-                _write_star(m, v, u, w)
+            du, dv = _step_apex(m, v, g, step)
+            if _star_stays(m, v, du, dv):
+                _write_star(m, v, du, dv)
                 value = _sum_of_departures(m, rows, count, least)
                 if value < least:
                     least, best = value, g
@@ -160,13 +191,53 @@ def _slide(m, v):
         step = SHORT_STEP
     if best < 0:
         return False
-    u, w = _step_apex(m, v, best, step)
-    _move(m, v, m.links[next_of(best), TAIL], u, w)
+    du, dv = _step_apex(m, v, best, step)
+    b = m.links[next_of(best), TAIL]
+    m.uv[wedge, 0] += du
+    m.uv[wedge, 1] += dv
+    _write_star(m, v, 0.0, 0.0)
+    _move(m, v, b, rows, count)
+    return True
+
+
+@helper
+def _step_along(m, v, axis, step):
+    """Put the apex a step along an axis from a vertex."""
+    x, y, z = m.xyz[v, 0], m.xyz[v, 1], m.xyz[v, 2]
+    if axis == 0:
+        x += step
+    elif axis == 1:
+        y += step
+    else:
+        z += step
+    place_apex(m, v, v, x, y, z)
+
+
+@helper
+def _lift(m, v):
+    """Move a vertex off the position texture, its uvs unchanged, a step along the axis that helps most, if any does."""
+    count = _gather_star(m, v)
     set_apex(m, v)
-    _write_star(m, v, u, w)
-    for i in range(rows):
-        m.faces[int(m.fan[i, 0]), FIRST_WITNESS] = -1
-    hand_over(m, rows, count)
+    rows = _write_star(m, v, 0.0, 0.0)
+    if rows == 0 or count == 0:
+        return False
+    total = _sum_of_departures(m, rows, count, math.inf)
+    least, best, chosen, size = WORTH * total, 0.0, 0, LONG_LIFT * total ** (1.0 / 6.0)
+    for _ in range(2):
+        for way in range(6):
+            step = size if way < 3 else -size
+            _step_along(m, v, way % 3, step)
+            if _star_stays(m, v, 0.0, 0.0):
+                _write_star(m, v, 0.0, 0.0)
+                value = _sum_of_departures(m, rows, count, least)
+                if value < least:
+                    least, best, chosen = value, step, way % 3
+        size *= SHORT_LIFT / LONG_LIFT
+    if best == 0.0:
+        return False
+    _step_along(m, v, chosen, best)
+    _write_star(m, v, 0.0, 0.0)
+    _move(m, v, v, rows, count)
     return True
 
 
@@ -285,8 +356,8 @@ def _make_polish(sources: int) -> Any:
         m : rules.Mesh
             Prices of edges are out of date afterwards.
         sweeps : int
-        counts : (2,) int64
-            Gets the number of edges turned and of vertices moved.
+        counts : (3,) int64
+            Gets the number of edges turned, of vertices moved along the surface and off it.
         """
         m.counter[VERSION] = sources
         for _ in range(sweeps):
@@ -297,6 +368,11 @@ def _make_polish(sources: int) -> Any:
                 g = m.vertices[v, OUT]
                 if m.vertices[v, SILHOUETTES] == 0 and g >= 0 and m.links[g, TAIL] == v:
                     counts[1] += _slide(m, v)
+            if m.settings[LIFT] > 0.0:
+                for v in range(len(m.vertices) - 1):
+                    g = m.vertices[v, OUT]
+                    if g >= 0 and m.links[g, TAIL] == v:
+                        counts[2] += _lift(m, v)
 
     return polish
 

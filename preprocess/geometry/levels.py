@@ -254,9 +254,11 @@ def fit_levels(
     owners = [_locate_full(mesh, lods[0]), *(_locate_owners(mesh, lod) for lod in lods[1:])]
     position = by_name["position"]
     full = owners[0].blend(mesh.surface.positions)
-    margin_uv = 1.0 / min(by_name["weights"].size)  # a cell: quarters at the edge have nothing beyond it
+    dense = mesh.dense_weights(poses.shape[1])
+    weights = [owner.blend(dense) for owner in owners]
     texels = position.levels[0].astype(np.float32)
-    texels, fitted = park_vertices(texels, lods, full, mesh.surface.diagonal_m, margin_uv)
+    size = by_name["weights"].size
+    texels, fitted = park_vertices(texels, lods, full, mesh.surface.diagonal_m, weights, size)
     by_name["position"], fitted = _in_words(position, texels.astype(np.float64), mesh, fitted, full)
     by_name["weights"] = _detail(by_name["weights"], mesh, fitted, owners, poses)
     return list(by_name.values()), _measured(mesh, by_name["weights"], fitted, lods, poses)

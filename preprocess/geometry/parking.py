@@ -18,20 +18,21 @@ from numpy.typing import NDArray
 from preprocess.decimate import Lod
 from preprocess.mesh import Floats
 from preprocess.settings import PARK_REL
-from preprocess.texels import px_to_uv, sample_bilinear, snap_owner_uvs
+from preprocess.texels import px_to_uv, sample_bilinear, snap_owner_uvs, uv_to_px
 from runtime.touched_cells import touched_cells
 
 log = logging.getLogger(__name__)
 
-BLOCK = 4  # free texels are taken from whole free squares first, so that parked points lie together
+CURVE_BITS = 8  # places in a cell of the weight map that can be told apart, an axis
 LEVEL_SHARE = 0.1  # of a coarser level's error that its vertices may be off
 STORED_STEPS = 4  # each leaves a few thousandths of the error: 16-bit uvs miss the texel's centre by so much
 
 
-def free_texels(lods: Sequence[Lod], size: tuple[int, int], margin_uv: float = 0.0) -> NDArray[np.int64]:
+def free_texels(lods: Sequence[Lod], size: tuple[int, int], weight_size: tuple[int, int]) -> NDArray[np.int64]:
     """Column and row of the texels that no triangle of any level reads, (N, 2), in the order they should be taken.
 
-    Those nearer to the edge than `margin_uv` are left: a coarser texture clamps there and cannot tell them apart.
+    Cell by cell of the weight map, the emptiest first, and quarter by quarter in each: what is parked in one square
+    may share its weights. The map clamps beyond its outermost cells, so what lies there is left.
     """
     width, height = size
     used = np.zeros((height, width), bool)
@@ -42,17 +43,41 @@ def free_texels(lods: Sequence[Lod], size: tuple[int, int], margin_uv: float = 0
             for x in range(min(2, width)):
                 used[y : y + rows, x : x + columns] |= cells
     row, column = np.nonzero(~used)
-    place = px_to_uv(np.stack([column, row], axis=1).astype(np.float64), width, height)
-    inside = (np.minimum(place, 1.0 - place) >= margin_uv).all(axis=1)
-    row, column = row[inside], column[inside]
-    block = (row // BLOCK) * width + column // BLOCK
-    _, block_of, in_block = np.unique(block, return_inverse=True, return_counts=True)
-    order = np.lexsort((column, row, block, -in_block[block_of.ravel()]))
+    places = uv_to_px(px_to_uv(np.stack([column, row], axis=1).astype(np.float64), width, height), *weight_size)
+    inside = ((places >= 0.5) & (places <= np.array(weight_size) - 1.5)).all(axis=1)
+    row, column, places = row[inside], column[inside], places[inside]
+    cell = places.astype(np.int64)
+    _, cell_of, in_cell = np.unique(cell[:, 1] * weight_size[0] + cell[:, 0], return_inverse=True, return_counts=True)
+    order = np.lexsort((_along_curve(places - cell), cell_of.ravel(), -in_cell[cell_of.ravel()]))
     return np.stack([column[order], row[order]], axis=1)
 
 
+def _along_curve(fractions: Floats) -> NDArray[np.int64]:
+    """Number of each place in a square, (N, 2) in [0, 1), along a Z-curve: quarter by quarter, to `CURVE_BITS`."""
+    steps = (fractions * 2**CURVE_BITS).astype(np.int64)
+    code = np.zeros(len(steps), np.int64)
+    for bit in range(CURVE_BITS):
+        code |= ((steps[:, 0] >> bit & 1) << 2 * bit) | ((steps[:, 1] >> bit & 1) << 2 * bit + 1)
+    return code
+
+
+def _alike_together(weights: Floats) -> NDArray[np.intp]:
+    """An order of points, (N,), by their joint weights (N, J): those that follow each other move nearly alike."""
+    rows = np.arange(len(weights))
+    first = weights.argmax(axis=1) if weights.size else np.zeros(len(weights), np.intp)
+    others = weights.copy()
+    others[rows, first] = 0.0
+    second = others.argmax(axis=1) if weights.size else first
+    return np.lexsort((-weights[rows, first], second, first))
+
+
 def park_vertices(
-    texels: NDArray[np.float32], lods: Sequence[Lod], full_positions: Floats, diagonal_m: float, margin_uv: float
+    texels: NDArray[np.float32],
+    lods: Sequence[Lod],
+    full_positions: Floats,
+    diagonal_m: float,
+    weights: Sequence[Floats],
+    weight_size: tuple[int, int],
 ) -> tuple[NDArray[np.float32], tuple[Lod, ...]]:
     """Give every level the places where its vertices fetch their geometry, and those that are off a texel.
 
@@ -65,8 +90,10 @@ def park_vertices(
     full_positions : (V, 3) float64
         Of the finest level's vertices, instead of what it says.
     diagonal_m : float
-    margin_uv : float
-        Width of the border where nothing is parked.
+    weights : sequence of (V, J) float64
+        Joint weights of every level's vertices: those that are alike are parked together.
+    weight_size : (width, height)
+        Texels of the weight map.
 
     Returns
     -------
@@ -79,15 +106,16 @@ def park_vertices(
     allowed = [PARK_REL, *(max(PARK_REL, LEVEL_SHARE * lod.error_m / diagonal_m) for lod in lods[1:])]
     places = [_distinct(snap_owner_uvs(own), own) for own in (lod.uvs[lod.owner_uvs] for lod in lods)]
     rows = [np.c_[uvs, positions] for uvs, positions in zip(places, wanted)]
-    points, point_of = np.unique(np.concatenate(rows), axis=0, return_inverse=True)
+    points, first, point_of = np.unique(np.concatenate(rows), axis=0, return_index=True, return_inverse=True)
     uvs, positions = points[:, :2], points[:, 2:]
     allowed_rel = np.full(len(points), np.inf)
     np.minimum.at(allowed_rel, point_of.ravel(), np.repeat(allowed, [len(part) for part in wanted]))
     off_rel = np.linalg.norm(sample_bilinear(texels, uvs) - positions, axis=1) / max(diagonal_m, 1e-30)
     off = np.flatnonzero(off_rel > allowed_rel)
-    off = off[np.argsort(-off_rel[off], kind="stable")]
-    free = free_texels(lods, (width, height), margin_uv)[: len(off)]
+    off = off[np.argsort(-off_rel[off] / allowed_rel[off], kind="stable")]
+    free = free_texels(lods, (width, height), weight_size)[: len(off)]
     parked = off[: len(free)]
+    parked = parked[_alike_together(np.concatenate(weights)[first[parked]])]
     log.info("%d of %d points parked, %d texels were free", len(parked), len(points), len(free))
     uvs[parked] = snap_owner_uvs(px_to_uv(free.astype(np.float64), width, height))
     exact = texels.astype(np.float64)

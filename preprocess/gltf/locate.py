@@ -1,8 +1,9 @@
 """Where on the full mesh the corners of a level of detail lie.
 
-A corner is looked for by its place on the surface and in the atlas together, among the faces around the nearest
+A corner is looked for by its place in the atlas and on the surface together, among the faces around the nearest
 corners of the full mesh and the face its own stems from, in the same connected component. Either alone is not
-enough: charts may overlap in uv (a palette), and parts may touch in space.
+enough: charts may overlap in uv (a palette), and parts may touch in space. The atlas counts most, since vertices of
+coarse levels lie off the surface.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from preprocess.mesh import Floats, TexturedSurface
 
 NEAREST = 4  # corners of the full mesh whose faces are tried
 MAX_FACES_A_CORNER = 32  # of a fan's centre
+PLACE_SHARE = 0.01  # how much a distance in space, of the diagonal, counts beside one in uv
 COMPONENT_STEP = 10.0  # more than any distance within a component, in units of the diagonal and the uv square
 SAME_PLACE = 1e-5  # faces this much farther than the nearest, in those units, lie there too
 
@@ -95,7 +97,7 @@ def locate_corners(
     first_corners : (N,) int64
         A flat corner for each of them.
     """
-    scale = 1.0 / max(full.diagonal_m, 1e-30)
+    scale = PLACE_SHARE / max(full.diagonal_m, 1e-30)
     components = face_components(full.faces, len(full.positions))
 
     def coordinates(surface: TexturedSurface, corners: Indices, component: Indices) -> Floats:
