@@ -20,7 +20,8 @@ from preprocess.decimate.nearest import build_tree
 from preprocess.geometry.bake import bake_surface_positions
 from preprocess.gltf import load_character
 from preprocess.mesh import Floats, Ints, TexturedSurface
-from preprocess.pipeline import SURFACE_PX, _build_atlas, draw_groups, sample_poses
+from preprocess.pipeline import SURFACE_PX, _build_atlas, draw_groups
+from preprocess.poses import sample_poses
 from preprocess.settings import Settings
 
 MODELS = ("human.glb", "mannequiny.glb", "Knight.glb", "Fox.glb")

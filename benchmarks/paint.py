@@ -20,7 +20,8 @@ from benchmarks._table import print_table
 from preprocess.erase import EraseOptions, erase_mips
 from preprocess.gltf import load_character
 from preprocess.mesh import Floats
-from preprocess.pipeline import _build_atlas, sample_poses
+from preprocess.pipeline import _build_atlas
+from preprocess.poses import sample_poses
 from preprocess.settings import Settings
 from preprocess.texels import sample_bilinear
 from preprocess.textures.stage import JUMP_LIMIT, SEAM_WEIGHT, TextureStage

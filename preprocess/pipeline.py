@@ -18,17 +18,15 @@ from preprocess.geometry.levels import fit_levels
 from preprocess.geometry.uv_steps import snap_levels, snap_mesh
 from preprocess.gltf import Character, load_character
 from preprocess.mesh import Floats, Ints
+from preprocess.poses import sample_poses
 from preprocess.progress import Progress
 from preprocess.report import write_report
 from preprocess.settings import Settings, floor_faces
 from preprocess.textures.stage import StoredTexture, TextureStage
 from preprocess.write import LodRow, write_folder
-from runtime.pose import rest_pose, sample, skinning_matrices
 
 log = logging.getLogger(__name__)
 
-POSES_A_CLIP = 2  # sampled moments of each clip for sizes, costs and errors
-MAX_POSES = 8
 SURFACE_PX = 1024  # side of the texture that stands for the surface when levels are costed
 GUTTER_SIZE_PX, GUTTER_PX = 512, 4.0  # charts stay apart in geometry and weight textures of this size
 
@@ -118,19 +116,6 @@ def _build_atlas(character: Character, settings: Settings) -> Atlas:
         gutter_px=GUTTER_PX,
         straighten_rel=settings.straighten_rel,
     )
-
-
-def sample_poses(character: Character) -> Floats:
-    """Skinning matrices of the rest pose and of a few moments spread over the clips, (P, J, 4, 4) float64."""
-    skeleton = character.skeleton
-    poses = [skinning_matrices(skeleton, rest_pose(skeleton))]
-    chosen = character.clips
-    if len(chosen) > MAX_POSES // POSES_A_CLIP:  # spread over a long list of clips
-        chosen = tuple(chosen[i] for i in np.linspace(0, len(chosen) - 1, MAX_POSES // POSES_A_CLIP).astype(int))
-    for clip in chosen:
-        times = clip.duration_s * (np.arange(POSES_A_CLIP) + 0.5) / POSES_A_CLIP
-        poses.append(skinning_matrices(skeleton, sample(clip, skeleton, times)))
-    return np.concatenate(poses)
 
 
 def draw_groups(character: Character, face_materials: Ints) -> Ints | None:
