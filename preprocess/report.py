@@ -66,8 +66,9 @@ def write_report(
         "<p>How much the two sides of a seam differ at most: in the source, and in what is stored now, over all mip "
         "levels. Colours count in steps of 255, positions in millimetres, the rest in thousandths of their range. "
         "Half a step cannot be seen. Positions and weights are read on one side of a seam alone, so that what is drawn "
-        "never opens, whatever they differ by. Seam edges left alone were taken for hard edges or painted borders: the pictures "
-        "below show them in red. If a red one is a fault, build again with a larger --keep-borders, or off.</p>",
+        "never opens, whatever they differ by. Seam edges left alone were taken for hard edges or painted borders: the "
+        "pictures below show them in red. If a red one is a fault, build again with a larger --keep-borders, or off."
+        "</p>",
         _table(_seam_rows(manifest["textures"])),
         "<h2>Pictures</h2>",
         "<p>Click a picture to see it at its full size.</p>",
