@@ -94,13 +94,10 @@ def make_folder(model: Path, folder: Path) -> None:
         If the pipeline refuses the file.
     """
     from preprocess.errors import InputError
-    from preprocess.kernels import FIRST_RUN, are_compiled
     from preprocess.pipeline import build
     from preprocess.progress import Progress
     from preprocess.settings import Settings
 
-    if not are_compiled():
-        print(f"  {FIRST_RUN}", flush=True)
     try:
         result = build(model, folder, Settings(report=True), Progress())
     except InputError as error:

@@ -33,11 +33,8 @@ def run(arguments: argparse.Namespace) -> int:
     destination: Path = arguments.output or Path(f"{model.stem}.seamless")
     check_destination(destination)
     print(f"{model.name} → {destination}", file=sys.stderr, flush=True)
-    from preprocess.kernels import FIRST_RUN, are_compiled
     from preprocess.pipeline import build  # numba and scipy take a second: the line above comes first
 
-    if not are_compiled():
-        print(f"  {FIRST_RUN}", file=sys.stderr, flush=True)
     result = build(model, destination, settings_from(arguments), Progress())
     for warning in result.warnings:
         print(f"  note: {warning}", file=sys.stderr)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-from pathlib import Path
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
 
-FIRST_RUN = "first run: compiling kernels, up to half a minute, once"
+COMPILING = "compiling kernels, once: up to half a minute in all"
 
 
 def compile_quickly() -> None:
@@ -16,9 +20,51 @@ def compile_quickly() -> None:
     os.environ.setdefault("NUMBA_OPT", "1")
 
 
-def are_compiled() -> bool:
-    """Whether numba's cache on disk holds the kernels already, judged by the one that every build needs first."""
-    from preprocess.raster import _rasterise
+@dataclass
+class Compiling:
+    """What `watch_compiling` has seen: seconds spent on kernels that were in no cache."""
 
-    folder = Path(vars(_rasterise)["_cache"].cache_path)
-    return any(folder.glob("raster._rasterise-*.nbc"))
+    seconds: float = 0.0
+
+
+@contextlib.contextmanager
+def watch_compiling(say: Callable[[], None]) -> Iterator[Compiling]:
+    """Tell of kernels that are compiled meanwhile, in any thread.
+
+    Parameters
+    ----------
+    say : function
+        Called as the first one starts: not at all where numba finds every kernel in its cache.
+
+    Yields
+    ------
+    Compiling
+    """
+    from numba.core import event
+
+    seen = Compiling()
+
+    class Listener(event.Listener):
+        """Kernels that call others have them compiled on the way; numba compiles in one thread at a time."""
+
+        depth = 0
+        start: float | None = None
+
+        def on_start(self, event: Any) -> None:
+            if self.start is None:
+                say()
+            if self.depth == 0:
+                self.start = time.perf_counter()
+            self.depth += 1
+
+        def on_end(self, event: Any) -> None:
+            self.depth -= 1
+            if self.depth == 0 and self.start is not None:
+                seen.seconds += time.perf_counter() - self.start
+
+    listener = Listener()
+    event.register("numba:compile", listener)
+    try:
+        yield seen
+    finally:
+        event.unregister("numba:compile", listener)

@@ -1,4 +1,7 @@
-"""Progress for people: the running stage's name at once, then one line a finished stage with its time and delta."""
+"""Progress for people: the running stage's name at once, then one line a finished stage with its time and delta.
+
+Kernels that are compiled on the way, on a first run or after an update, are told of as it happens.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,17 @@ import sys
 import time
 from collections.abc import Iterator
 from typing import Any
+
+from preprocess.kernels import COMPILING, watch_compiling
+
+WORTH_A_WORD_S = 1.0  # of compiling, in a stage's line
+
+
+@contextlib.contextmanager
+def tell_of_compiling() -> Iterator[None]:
+    """Say on stderr that kernels compile, if they do: for commands without stages."""
+    with watch_compiling(lambda: print(COMPILING, file=sys.stderr, flush=True)):
+        yield
 
 
 class Progress:
@@ -22,18 +36,29 @@ class Progress:
         self.seconds: dict[str, float] = {}
         self._quiet = quiet
         self._console: Any = None
+        self._told = False
 
     @contextlib.contextmanager
     def stage(self, name: str) -> Iterator[Stage]:
         """Run a block as a named stage."""
         stage = Stage()
         start = time.perf_counter()
-        with self._spinner(name):
+        with self._spinner(name), watch_compiling(self._tell) as compiling:
             yield stage
         self.seconds[name] = time.perf_counter() - start
+        text = f"  {name:<12}{self.seconds[name]:6.1f} s   {stage.delta}".rstrip()
+        if compiling.seconds >= WORTH_A_WORD_S:
+            text += f" ({compiling.seconds:.0f} s of it compiling)"
+        self._print(text)
+
+    def _tell(self) -> None:
+        if not self._told:
+            self._told = True
+            self._print(f"  {COMPILING}")
+
+    def _print(self, text: str) -> None:
         if not self._quiet:
-            text = f"  {name:<12}{self.seconds[name]:6.1f} s   {stage.delta}"
-            print(text.rstrip(), file=sys.stderr, flush=True)
+            print(text, file=sys.stderr, flush=True)
 
     @contextlib.contextmanager
     def _spinner(self, name: str) -> Iterator[None]:

@@ -13,6 +13,7 @@ from preprocess.folder import check_not_input
 from preprocess.mesh import TexturedSurface
 from preprocess.obj import read_looks, read_surface, write_obj
 from preprocess.obj_looks import ObjLooks
+from preprocess.progress import tell_of_compiling
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,8 +80,9 @@ def run(arguments: argparse.Namespace) -> None:
     check_not_input(arguments.output, [arguments.mesh])
     source = read_surface(arguments.mesh)
     check_surface(source)
-    surface, looks = _straightened(source, read_looks(arguments.mesh), arguments.straighten)
-    chain, requested = _decimated(surface, arguments, len(source.faces))
+    with tell_of_compiling():
+        surface, looks = _straightened(source, read_looks(arguments.mesh), arguments.straighten)
+        chain, requested = _decimated(surface, arguments, len(source.faces))
     lod = chain.lods[0]
     write_obj(arguments.output, lod.surface, looks.of(lod.face_source) if looks else None)
     reached = f"{lod.num_faces} faces" + (f", error {lod.error_m:.3g} m" if arguments.error is not None else "")

@@ -13,6 +13,7 @@ from preprocess.folder import MANIFEST, check_destination, whole_folder
 from preprocess.images import Image, read_image, write_image
 from preprocess.obj import read_looks, read_surface, write_obj
 from preprocess.obj_looks import ObjLooks, move_library
+from preprocess.progress import tell_of_compiling
 from preprocess.straighten.driver import DEFAULT_DISTORTION, DEFAULT_TOLERANCE_REL, Straightened, straighten
 from preprocess.straighten.warp import Warp, find_warp
 
@@ -80,7 +81,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"two outputs would be named {twice[0]}: rename one of the inputs")
     surface = read_surface(arguments.mesh)
     images = [read_image(path, path.name) for path in arguments.images]
-    result = straighten(surface, arguments.tolerance, most_distortion=arguments.most_distortion)
+    with tell_of_compiling():
+        result = straighten(surface, arguments.tolerance, most_distortion=arguments.most_distortion)
     with whole_folder(destination) as folder:
         looks = read_looks(arguments.mesh)
         if looks is not None:
