@@ -17,7 +17,7 @@ from runtime.camera import Camera
 from runtime.gpu_asset import Model
 from runtime.gpu_textures import TEXTURE_UNITS
 from runtime.programs import assemble, remember_members, set_uniforms
-from runtime.renderer import Renderer
+from runtime.renderer import SKINNING, Renderer
 
 MIN_VERSION_CODE = 430
 MAX_POINTS = 2_000_000
@@ -63,12 +63,15 @@ class PointCapture:
     model : Model
     defines : mapping
         Preprocessor definitions, as for `Renderer`.
+    skinning : str
+        As for `Renderer`.
     """
 
-    def __init__(self, model: Model, defines: Mapping[str, str | int]) -> None:
+    def __init__(self, model: Model, defines: Mapping[str, str | int], skinning: str = "linear") -> None:
         ctx = model.ctx
-        self._renderer = Renderer(ctx, shader_defines=defines)
-        program = capture_program(ctx, {**defines, **model.shader_defines, **model.lods[0].uv_defines})
+        self._renderer = Renderer(ctx, shader_defines=defines, skinning=skinning)
+        every = {**defines, **SKINNING[skinning], **model.shader_defines, **model.lods[0].uv_defines}
+        program = capture_program(ctx, every)
         self._renderer._passes.adopt(program, "depth", True, model)
         self._storage = ctx.buffer(reserve=16 + POINT_BYTES * MAX_POINTS)
 
