@@ -6,6 +6,7 @@ the context. With --frames N it walks by itself for N frames (and --out FILE.png
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -25,6 +26,7 @@ class WalkWindow(moderngl_window.WindowConfig):  # type: ignore[misc]
     gl_version = (4, 1)
     title = "seamskin in moderngl-window"
     samples = 4
+    log_level = logging.WARNING
     aspect_ratio = None  # type: ignore[assignment]  # follow the window
     options: EmbedOptions
 
