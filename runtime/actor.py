@@ -102,6 +102,13 @@ class Actor(NotCopied):
             self.release()
             raise
 
+    def __repr__(self) -> str:
+        if self._row is None:
+            return "<Actor, released>"
+        playing, time_s = self._mixer.playing(self._row)
+        at = ", ".join(f"{number:.3g}" for number in self._transform[:3, 3])
+        return f"<Actor at ({at}) {f'playing {playing.name!r} at {time_s:.3g} s' if playing else 'at rest'}>"
+
     # Place and looks
 
     @property

@@ -90,7 +90,7 @@ class Manifest:
     json: dict[str, Any] = field(repr=False)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Asset:
     """A built character in memory."""
 
@@ -108,6 +108,21 @@ class Asset:
     def name(self) -> str:
         """The character's name."""
         return self.manifest.name
+
+    @property
+    def clip_names(self) -> tuple[str, ...]:
+        """What its clips are called, in their order."""
+        return tuple(clip.name for clip in self.clips)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """What its joints are called, in their order."""
+        return self.manifest.joints
+
+    def __repr__(self) -> str:
+        faces = len(self.lods[0].triangles)
+        counts = f"{faces:,} faces, {len(self.lods)} levels, {self.num_joints} joints, {len(self.clips)} clips"
+        return f"<Asset {self.name!r}: {counts}>"
 
     @property
     def colors_moved(self) -> bool:

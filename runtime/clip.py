@@ -47,7 +47,7 @@ class Track:
     values: NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Clip:
     """A named animation of a skeleton.
 
@@ -62,6 +62,9 @@ class Clip:
     name: str
     duration_s: float
     tracks: tuple[Track, ...]
+
+    def __repr__(self) -> str:
+        return f"<Clip {self.name!r}: {self.duration_s:.3g} s, {len(self.tracks)} tracks>"
 
     @cached_property
     def keys(self) -> Keys:

@@ -104,6 +104,9 @@ class Crowd(NotCopied):
         self._passes = CrowdPasses(model, self._levels, self._seam_lines)
         self.errors_m = np.array([one.error_m for one in self._levels])
 
+    def __repr__(self) -> str:
+        return f"<Crowd of {self.count:,} {self.model.asset.name!r}{', released' if self._released else ''}>"
+
     # The actors
 
     @property

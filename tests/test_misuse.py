@@ -444,3 +444,16 @@ def test_what_outlives_its_window_is_released_without_a_word(ball: Any) -> None:
     for thing in things:
         thing.release()
     context.release()
+
+
+def test_things_are_shown_in_one_short_line(scene: Scene, actor: runtime.Actor, crowd: runtime.Crowd) -> None:
+    asset = scene.model.asset
+    assert repr(asset) == "<Asset 'ball': 1,728 faces, 3 levels, 4 joints, 1 clips>"
+    assert asset.clip_names == ("bend",) and asset.joint_names[1] == "joint1"
+    assert repr(asset.clips[0]) == "<Clip 'bend': 1 s, 3 tracks>"
+    actor.time_s, actor.transform[0, 3] = 0.25, 1.5
+    assert repr(actor) == "<Actor at (1.5, 0, 0) playing 'bend' at 0.25 s>"
+    assert repr(scene.model.actor()) == "<Actor at (0, 0, 0) at rest>"
+    actor.release()
+    assert repr(actor) == "<Actor, released>"
+    assert repr(crowd) == "<Crowd of 5 'ball'>"
