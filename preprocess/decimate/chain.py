@@ -1,7 +1,7 @@
 """Decimation as a stage: a chain of levels in one continuous run (paper, section 5; method, section 5).
 
 Each level is a simplification of the one before: the run goes on from full detail to the floor, and what is left at
-each target is kept. The automatic chain halves the faces from level to level.
+each target is kept. The automatic chain halves the faces from level to level, in two steps where they are few.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from preprocess.decimate import rules
 from preprocess.decimate.engine import Engine, make_engine
 from preprocess.decimate.floor import count_floor
 from preprocess.decimate.lod import PEAK_WEIGHT, Chain, DecimateOptions, Lod, Strictness
@@ -25,6 +26,10 @@ log = logging.getLogger(__name__)
 
 # A level that would save less than this share of the one before is not worth its bytes.
 MIN_SAVING_REL = 0.2
+# A level whose error is this share of a coarser one's or more is not worth its bytes either.
+AS_NEAR_REL = 0.9
+# With at most so many faces there is a level between each and its half: most actors of a crowd are drawn with these.
+FEW_FACES = 4000
 # Levels with at most this share of the faces are polished; above it witnesses are too few to tell more than quadrics.
 POLISH_BELOW_REL = 0.3
 # A level above it is polished where a face has so many witnesses, if that lowers its largest error.
@@ -34,7 +39,7 @@ NEAR_FLOOR_REL = 1.5
 # No relaxed level whose error is this share of the longest extent: where it were used, the character is two pixels.
 MAX_ERROR_REL = 0.5
 # Allowances tried for a relaxed level, as multiples of what the level before would be allowed.
-RELAXED_GROWTHS = (1.5, 2.25, 3.4)
+RELAXED_GROWTHS = (1.5, 2.5)
 
 
 def _targets(num_faces: int, options: DecimateOptions) -> list[int]:
@@ -45,7 +50,9 @@ def _targets(num_faces: int, options: DecimateOptions) -> list[int]:
                 raise InputError(f"level ratio {ratio:g} is not above 0 and at most 1: give fractions of the faces")
         return sorted({max(1, round(ratio * num_faces)) for ratio in options.ratios}, reverse=True)
     levels = max(0, math.floor(math.log2(max(num_faces / max(options.min_faces, 1), 1.0))))
-    return [num_faces] + [max(1, round(num_faces / 2**level)) for level in range(1, levels + 2)]
+    halved = [num_faces / 2**level for level in range(levels + 2)]
+    between = [faces / math.sqrt(2) for faces in halved[1:-1] if faces <= FEW_FACES]
+    return sorted({max(1, round(faces)) for faces in (*halved, *between)}, reverse=True)
 
 
 def _by_error(options: DecimateOptions | None) -> DecimateOptions:
@@ -222,7 +229,7 @@ def _relaxed_levels(
             wasteful = tried.num_faces > (1 - MIN_SAVING_REL) * last.num_faces or error_m * tried.num_faces >= score
             if wasteful or error_m > largest_m:
                 continue  # without measuring it
-            tried.engine.polish()
+            tried.engine.polish(rounds=1)
             lod = _measured(reference, tried.engine.snapshot(), error_m)
             if lod.error_m <= largest_m and lod.error_m * lod.num_faces < score:
                 best, best_lod = tried, lod
@@ -238,6 +245,16 @@ def _relaxed_levels(
         )
         lods.append(last)
     return lods
+
+
+def _useful(lods: list[Lod], relaxed: list[Lod]) -> tuple[list[Lod], list[Lod]]:
+    """Those levels, exact and relaxed, that no coarser one is as near as: the others would not be chosen."""
+    kept: list[Lod] = []
+    for lod in reversed(lods + relaxed):
+        if not kept or lod.error_m < AS_NEAR_REL * kept[-1].error_m or lod is lods[0]:
+            kept.append(lod)
+    numbers = {id(lod) for lod in kept}
+    return [lod for lod in lods if id(lod) in numbers], [lod for lod in relaxed if id(lod) in numbers]
 
 
 def decimate(
@@ -292,7 +309,9 @@ def decimate(
         elif DENSE_WITNESSES * engine.num_faces <= len(engine.mesh.points):
             engine = _polished_if_nearer(engine, reference)
         last_error = lods[-1].error_m if lods else 0.0
-        if not lods or options.ratios is not None or engine.num_faces <= (1 - MIN_SAVING_REL) * lods[-1].num_faces:
+        if not lods and not engine.mesh.counter[rules.COLLAPSES] and engine.shows_surface:
+            lods.append(replace(engine.snapshot(), error_m=0.0, mean_error_m=0.0, normal_error_rad=0.0))
+        elif not lods or options.ratios is not None or engine.num_faces <= (1 - MIN_SAVING_REL) * lods[-1].num_faces:
             lods.append(_measured(reference, engine.snapshot(), last_error))
         if engine.num_faces > target:
             floor, blocked = engine.num_faces, engine.blocked()
@@ -303,6 +322,8 @@ def decimate(
             break
     if relaxed and lods[-1].num_faces == floor and lods[-1].error_m >= relaxed[0].error_m:
         lods.pop()  # as coarse to look at, with more faces
+    if options.ratios is None:
+        lods, relaxed = _useful(lods, relaxed)
     warnings = list(engine.repairs.warnings())
     for level, lod in enumerate(relaxed, len(lods)):
         if not lod.exact:

@@ -115,6 +115,11 @@ class Engine:
     skinning: Skinning
 
     @property
+    def shows_surface(self) -> bool:
+        """Whether vertices are drawn where the surface has them, whatever the position texture says."""
+        return self.position_texture is None or bool(self.mesh.settings[rules.LIFT] > 0.0)
+
+    @property
     def num_faces(self) -> int:
         """Faces left."""
         return int(self.mesh.counter[rules.FACES_LEFT])
@@ -138,11 +143,11 @@ class Engine:
         self.mesh.settings[rules.SEAM_TOLERANCE] = tolerance_uv
         self._forget_prices()
 
-    def polish(self) -> None:
+    def polish(self, rounds: int = POLISH_ROUNDS) -> None:
         """Turn edges and move vertices to where the surface is nearer to the full mesh; seams stay where they are."""
         if not self.mesh.settings[rules.PEAK] > 0.0:
             return  # nobody to say what is better
-        for _ in range(POLISH_ROUNDS):
+        for _ in range(rounds):
             self._pose_again()
             polish(self.mesh, POLISH_SWEEPS, np.zeros(3, np.int64))
         self._forget_prices()
@@ -240,7 +245,7 @@ class Engine:
         new_wedge[wedges] = np.arange(len(wedges))
         owners = np.zeros(len(mesh.xyz), np.int64)
         owners[faces[::-1].ravel()] = face_uvs[::-1].ravel()
-        if self.position_texture is None or self.mesh.settings[rules.LIFT] > 0.0:
+        if self.shows_surface:
             positions = mesh.xyz[vertices] * self.scale_m + self.centre_m
         else:
             positions = sample_bilinear(self.position_texture, mesh.uv[owners[vertices]])
