@@ -24,6 +24,7 @@ MAP_SIZE = 160  # a side of a half sphere's square at level 0
 REACH = 0.8  # of it belongs to the half sphere; the rest is half a texel a side at the last level
 PANORAMA_SIZE = (128, 256)  # rows, columns that a panorama is brought to
 FILTER_SIZE = (32, 64)  # what the rough levels are filtered from
+FILTERED_AT_ONCE = 64  # directions: what is computed for them stays in the processor's cache
 
 
 def map_directions(size: int) -> NDArray[np.float64]:
@@ -96,13 +97,22 @@ def _filtered(image: NDArray[np.float64], size: int, roughness: float) -> NDArra
     """What a surface of this roughness mirrors, by direction: GGX around it, seen head on, weighted by the cosine."""
     directions = map_directions(size)
     lights, solid_angle = _directions(*image.shape[:2])
-    cosine = directions.reshape(-1, 3).astype(np.float32) @ lights.reshape(-1, 3).T.astype(np.float32)
-    n_dot_h_sq = (1 + cosine) / 2  # view = normal
-    alpha_sq = np.float32(roughness**4)
-    lobe = np.maximum(cosine, 0) / np.square(n_dot_h_sq * (alpha_sq - 1) + 1)
-    lobe *= np.repeat(solid_angle, image.shape[1]).astype(np.float32)
-    filtered = (lobe @ image.reshape(-1, 3).astype(np.float32)) / lobe.sum(axis=1, keepdims=True)
-    return filtered.reshape(directions.shape).astype(np.float64)
+    towards = lights.reshape(-1, 3).T.astype(np.float32)
+    shares = np.repeat(solid_angle, image.shape[1]).astype(np.float32)
+    radiance = np.concatenate([image.reshape(-1, 3), np.ones((image[..., 0].size, 1))], axis=1).astype(np.float32)
+    radiance *= shares[:, None]
+    alpha_sq = roughness**4
+    rows = []
+    for some in np.array_split(directions.reshape(-1, 3).astype(np.float32), -(-size * 2 * size // FILTERED_AT_ONCE)):
+        cosine = some @ towards
+        lobe = cosine * np.float32((alpha_sq - 1) / 2)  # view = normal: (n.h)^2 = (1 + n.l) / 2
+        lobe += np.float32((alpha_sq + 1) / 2)
+        np.square(lobe, out=lobe)
+        np.maximum(cosine, 0, out=cosine)
+        cosine /= lobe
+        rows.append(cosine @ radiance)
+    filtered = np.concatenate(rows).astype(np.float64)
+    return (filtered[:, :3] / filtered[:, 3:]).reshape(directions.shape)
 
 
 @dataclass(frozen=True)
