@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from preprocess.decimate import Lod
-from preprocess.geometry.parking import _along_curve, free_texels, park_vertices
+from preprocess.geometry.parking import _along_curve, free_texels, lie_beyond, park_vertices
 from preprocess.settings import PARK_REL
 from preprocess.texels import sample_bilinear, snap_owner_uvs
 from runtime.touched_cells import touched_cells
@@ -95,3 +95,11 @@ def test_what_is_alike_is_parked_in_one_cell_of_the_weight_map() -> None:
     assert (cells == cells[0]).all()  # of 3.6 x 3.6 texels
     order = np.argsort(_along_curve(places - cells))
     assert (np.diff(np.arange(13)[order] % 3) >= 0).all()  # joint by joint, quarter by quarter
+
+
+def test_points_beyond_the_weight_map_are_found_where_weights_differ() -> None:
+    """A map of 4 x 4 texels: centres from 1/8 to 7/8 of the atlas, beyond which it clamps."""
+    uvs = np.array([(0.05, 0.2), (0.2, 0.2), (0.5, 0.99), (0.95, 0.6), (0.8, 0.6), (0.5, 0.5)])
+    weights = np.array([(1, 0), (0, 1), (1, 0), (0.5, 0.5), (0.51, 0.49), (0, 1)], float)
+    assert lie_beyond(uvs, weights, (4, 4)).tolist() == [True, False, False, False, False, False]
+    assert not lie_beyond(uvs[1:2], weights[1:2], (4, 4)).any()

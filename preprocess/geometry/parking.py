@@ -25,6 +25,7 @@ log = logging.getLogger(__name__)
 
 CURVE_BITS = 8  # places in a cell of the weight map that can be told apart, an axis
 LEVEL_SHARE = 0.1  # of a coarser level's error that its vertices may be off
+UNLIKE = 0.03  # weights of vertices so far apart are not one
 STORED_STEPS = 4  # each leaves a few thousandths of the error: 16-bit uvs miss the texel's centre by so much
 
 
@@ -71,6 +72,29 @@ def _alike_together(weights: Floats) -> NDArray[np.intp]:
     return np.lexsort((-weights[rows, first], second, first))
 
 
+def lie_beyond(uvs: Floats, weights: Floats, weight_size: tuple[int, int]) -> NDArray[np.bool_]:
+    """Points that the weight map cannot hold, (N,) bool: beyond its outermost texels, in a cell of unlike weights.
+
+    Parameters
+    ----------
+    uvs : (N, 2) float64
+    weights : (N, J) float64
+    weight_size : (width, height)
+    """
+    last = np.array(weight_size) - 1
+    px = uv_to_px(uvs, *weight_size)
+    beyond: NDArray[np.bool_] = ((px < 0.0) | (px > last)).any(axis=1)
+    if not beyond.any():
+        return beyond
+    cell = np.clip(px.astype(np.int64), 0, np.maximum(last - 1, 0)) @ (1, weight_size[0])
+    order = np.argsort(cell, kind="stable")
+    firsts = np.flatnonzero(np.r_[True, np.diff(cell[order]) != 0])
+    spread = np.maximum.reduceat(weights[order], firsts) - np.minimum.reduceat(weights[order], firsts)
+    unlike = np.empty(len(uvs), np.bool_)
+    unlike[order] = np.repeat(spread.max(axis=1) > UNLIKE, np.diff(np.r_[firsts, len(uvs)]))
+    return np.logical_and(beyond, unlike)
+
+
 def park_vertices(
     texels: NDArray[np.float32],
     lods: Sequence[Lod],
@@ -110,13 +134,16 @@ def park_vertices(
     uvs, positions = points[:, :2], points[:, 2:]
     allowed_rel = np.full(len(points), np.inf)
     np.minimum.at(allowed_rel, point_of.ravel(), np.repeat(allowed, [len(part) for part in wanted]))
+    of_points = np.concatenate(weights)[first]
     off_rel = np.linalg.norm(sample_bilinear(texels, uvs) - positions, axis=1) / max(diagonal_m, 1e-30)
+    off_rel[lie_beyond(uvs, of_points, weight_size)] += 1.01 * PARK_REL
     off = np.flatnonzero(off_rel > allowed_rel)
-    off = off[np.argsort(-off_rel[off] / allowed_rel[off], kind="stable")]
+    of_finest = np.isin(np.arange(len(points)), point_of.ravel()[: len(wanted[0])])
+    off = off[np.lexsort((-off_rel[off] / allowed_rel[off], ~of_finest[off]))]
     free = free_texels(lods, (width, height), weight_size)[: len(off)]
     parked = off[: len(free)]
-    parked = parked[_alike_together(np.concatenate(weights)[first[parked]])]
-    log.info("%d of %d points parked, %d texels were free", len(parked), len(points), len(free))
+    parked = parked[_alike_together(of_points[parked])]
+    log.info("%d of %d points miss, %d of these have a texel of their own", len(off), len(points), len(parked))
     uvs[parked] = snap_owner_uvs(px_to_uv(free.astype(np.float64), width, height))
     exact = texels.astype(np.float64)
     for _ in range(STORED_STEPS):

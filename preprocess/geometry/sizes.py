@@ -29,7 +29,7 @@ PARKED_SHARE = 0.1  # of the vertices at most
 STRAY_RMS_REL = 2e-3  # of the surface between vertices, of the diagonal: what divided triangles show
 JUMP_RMS_REL = 7.5e-5  # across seams, of the diagonal: 1e-4 when rounded (words.py)
 WEIGHT_SIZES_PX = (32, 48, 64, 96, 128, 192, 256, 384, 512)
-WEIGHT_TEXELS_A_VERTEX = 0.2
+WEIGHT_TEXELS_A_VERTEX = 0.22
 
 
 @dataclass(frozen=True)
