@@ -15,11 +15,12 @@ from preprocess.gltf import Character
 from preprocess.mesh import Floats, SkinnedMesh
 from runtime.pose import rest_pose, sample, skinning_matrices
 
-MAX_POSES = 8  # besides the rest pose
+MAX_POSES, MOST_OF_SMALL = 8, 16  # besides the rest pose; more where faces are few, and measuring costs little
+POSED_FACES = 40_000  # faces times poses up to which there are more than `MAX_POSES`
 MOMENTS_A_CLIP = 9  # that are asked for, ends included
 MAX_MOMENTS = 512  # of all clips together
 NUM_EDGES = 1024  # that stand for all
-LEAST_BEND = 1e-4  # root mean square: below it a pose says nothing new
+LEAST_BEND = 1e-4  # of all edges alike: below it a pose says nothing new
 
 
 def _moments(character: Character) -> Floats:
@@ -35,7 +36,10 @@ def _moments(character: Character) -> Floats:
 
 
 def _edges(mesh: SkinnedMesh) -> tuple[Floats, Floats, Floats]:
-    """Of some edges: differences of their ends' weights, (E, J), middles over lengths, (E, 4), lengths² (E,)."""
+    """Of some edges: differences of their ends' weights, (E, J), middles over lengths, (E, 4), what they count, (E,).
+
+    A bend moves an edge's end by its length. The fourth power of that lets large bends of few edges count.
+    """
     faces = mesh.surface.faces
     ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
     ends = ends[:: -(-len(ends) // NUM_EDGES)]
@@ -44,7 +48,7 @@ def _edges(mesh: SkinnedMesh) -> tuple[Floats, Floats, Floats]:
     first, second = mesh.surface.positions[ends[:, 0]], mesh.surface.positions[ends[:, 1]]
     length = np.maximum(np.linalg.norm(first - second, axis=1), 1e-6 * mesh.surface.diagonal_m)
     middles = np.concatenate([0.5 * (first + second), np.ones((len(ends), 1))], axis=1) / length[:, None]
-    return dense[ends[:, 0]] - dense[ends[:, 1]], middles, length**2
+    return dense[ends[:, 0]] - dense[ends[:, 1]], middles, length**4
 
 
 def choose_poses(
@@ -60,7 +64,7 @@ def choose_poses(
     middles : (E, 4) float64
         Homogeneous, of edges, over their lengths.
     counts : (E,) float64
-        What each edge counts.
+        What the fourth power of each edge's bend counts.
     most : int
 
     Returns
@@ -74,10 +78,10 @@ def choose_poses(
     moved = np.einsum("merc,ec->mer", change, middles)
     bends = np.concatenate([change[..., :3].reshape(len(matrices), len(counts), 9), moved], axis=2)
     apart_sq = np.einsum("mek,mek->me", bends, bends)  # from rest, where nothing bends
-    enough = LEAST_BEND**2 * float(counts.sum())
+    enough = LEAST_BEND**4 * float(counts.sum())
     chosen: list[int] = []
     while len(chosen) < most:
-        gains = apart_sq @ counts
+        gains = apart_sq**2 @ counts
         best = int(gains.argmax()) if len(gains) else 0
         if not len(gains) or gains[best] <= enough:
             break
@@ -90,6 +94,7 @@ def choose_poses(
 def sample_poses(character: Character) -> Floats:
     """Skinning matrices of the rest pose and of the moments of the clips that differ most, (P, J, 4, 4) float64."""
     moments = _moments(character)
-    chosen = sorted(choose_poses(moments, *_edges(character.mesh)))
+    most = min(max(MAX_POSES, POSED_FACES // character.mesh.num_faces), MOST_OF_SMALL)
+    chosen = sorted(choose_poses(moments, *_edges(character.mesh), most))
     rest = skinning_matrices(character.skeleton, rest_pose(character.skeleton))
     return np.concatenate([rest, moments[chosen]])
