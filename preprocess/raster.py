@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from preprocess.jit import entry, helper
 from preprocess.mesh import Floats, Ints, SkinnedMesh
 from preprocess.texels import uv_to_px
 
@@ -66,7 +66,7 @@ def rasterise(uvs: Floats, face_uvs: Ints, width: int, height: int, reach_px: fl
     return Coverage(faces, barycentrics, distances == 0.0)
 
 
-@numba.njit(cache=True)
+@helper
 def _segment_distance_sq(px, py, ax, ay, bx, by):  # type: ignore[no-untyped-def]
     dx, dy = bx - ax, by - ay
     length_sq = dx * dx + dy * dy
@@ -77,7 +77,7 @@ def _segment_distance_sq(px, py, ax, ay, bx, by):  # type: ignore[no-untyped-def
     return ex * ex + ey * ey
 
 
-@numba.njit(cache=True)
+@entry
 def _rasterise(corners_px, reach_px, faces, barycentrics, distances):  # type: ignore[no-untyped-def]
     height, width = faces.shape
     for f in range(len(corners_px)):

@@ -6,9 +6,10 @@ than one reads a bilinear sample, as the GPU would.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from preprocess.jit import entry, helper
 
 WRAP_CODES = {"REPEAT": 0, "CLAMP_TO_EDGE": 1, "MIRRORED_REPEAT": 2}
 MAX_SAMPLES = 8  # a side of the grid over one target texel: beyond it the source is 8 times denser than asked for
@@ -57,7 +58,7 @@ def sample_footprints(
     return result
 
 
-@numba.njit(cache=True)
+@helper
 def _wrap(i, size, code):  # type: ignore[no-untyped-def]
     if code == 1:
         return min(max(i, 0), size - 1)
@@ -67,7 +68,7 @@ def _wrap(i, size, code):  # type: ignore[no-untyped-def]
     return i % size
 
 
-@numba.njit(cache=True)
+@entry
 def _sample_footprints(texels, uvs, uv_dx, uv_dy, wrap_s, wrap_t, nearest, result):  # type: ignore[no-untyped-def]
     height, width, channels = texels.shape
     for n in range(len(uvs)):

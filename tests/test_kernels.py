@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import subprocess
 import sys
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from numba import njit
+from numba.extending import overload
 
 from preprocess.kernels import COMPILING, compile_quickly, watch_compiling
 from preprocess.progress import Progress
@@ -78,6 +80,34 @@ def test_a_kernel_that_fails_to_compile_leaves_the_watch_in_order() -> None:
         before = compiling.seconds
         wrong.py_func(type("Thing", (), {"nothing": 0}))
     assert said == ["compiling"] and compiling.seconds == before > 0.0
+
+
+def test_the_collector_of_cycles_rests_only_while_a_kernel_compiles() -> None:
+    seen: list[bool] = []
+
+    def ask(x: int) -> int:
+        return x
+
+    @overload(ask)
+    def _ask(x):
+        seen.append(gc.isenabled())  # while the kernel below is compiled
+        return lambda x: x
+
+    @njit
+    def kernel(x):
+        return ask(x)
+
+    with watch_compiling(lambda: None):
+        assert gc.isenabled()
+        assert kernel(1) == 1
+        assert gc.isenabled()
+        gc.disable()
+        try:
+            kernel(1.0)
+            assert not gc.isenabled(), "it was off before"
+        finally:
+            gc.enable()
+    assert seen and not any(seen)
 
 
 def test_the_first_run_says_so_and_an_update_does(tmp_path: Path) -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from preprocess.atlas.topology import cut_edges, find_edges, label_faces
+from preprocess.jit import entry
 from preprocess.mesh import TexturedSurface
 from preprocess.texels import uv_to_px
 
@@ -33,7 +33,7 @@ def measure_crowding(surface: TexturedSurface, size_px: int) -> float:
     return float(shared.sum() / max((owner >= 0).sum(), 1))
 
 
-@njit(cache=True)
+@entry
 def _claim(triangles, charts, owner, shared):  # type: ignore[no-untyped-def]
     """Mark texels whose bilinear support (a square of side 2) meets a triangle, and those of two charts."""
     size = len(owner)

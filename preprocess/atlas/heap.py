@@ -5,10 +5,10 @@ Equal keys leave in the order of their items, so that the result never depends o
 
 from __future__ import annotations
 
-from numba import njit
+from preprocess.jit import helper
 
 
-@njit(cache=True)
+@helper
 def push(keys, items, size, key, item):  # type: ignore[no-untyped-def]
     """Add an item; returns the new size."""
     i = size
@@ -24,7 +24,7 @@ def push(keys, items, size, key, item):  # type: ignore[no-untyped-def]
     return size + 1
 
 
-@njit(cache=True)
+@helper
 def pop(keys, items, size):  # type: ignore[no-untyped-def]
     """Remove the first item; returns the new size."""
     size -= 1

@@ -11,10 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from preprocess.atlas.topology import Bools, MeshEdges, label_corners, label_faces
+from preprocess.jit import entry
 from preprocess.mesh import Floats, Ints
 
 
@@ -279,7 +279,7 @@ def _farthest_from_chord(points: Floats) -> int:
     return 1 + int(np.argmax(distance))
 
 
-@njit(cache=True)
+@entry
 def _trace_paths(cut_vertices, corner):  # type: ignore[no-untyped-def]
     """Chains of cut edges between corners, and the closed chains without one."""
     num_edges, num_vertices = len(cut_vertices), len(corner)
@@ -327,7 +327,7 @@ def _trace_paths(cut_vertices, corner):  # type: ignore[no-untyped-def]
     return path_first[: paths + 1].copy(), path_vertices[:size].copy(), path_edges[:size].copy()
 
 
-@njit(cache=True)
+@entry
 def _walk_charts(first_half, following, end_uv, is_start):  # type: ignore[no-untyped-def]
     """Sides of every chart in boundary order, and the side of every boundary half-edge."""
     num_charts = len(first_half)

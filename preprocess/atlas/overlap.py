@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from preprocess.atlas.predicates import face_orientation, orient
+from preprocess.jit import entry, helper
 from preprocess.mesh import Floats, Ints
 
 CELLS_PER_FACE = 12
@@ -86,7 +86,7 @@ def find_overlap(uvs: Floats, face_uvs: Ints) -> Overlap:
     return Overlap(int(pairs), int(flat.sum()), bad)
 
 
-@njit(cache=True)
+@helper
 def _apart(triangles, f, g, terms):  # type: ignore[no-untyped-def]
     """Whether an edge of triangle f (counter-clockwise) has all of g on its right or on its line."""
     for k in range(3):
@@ -105,7 +105,7 @@ def _apart(triangles, f, g, terms):  # type: ignore[no-untyped-def]
     return False
 
 
-@njit(cache=True)
+@entry
 def _count_pairs(triangles, low, high, first, last, cells, limit, start, items, hit):  # type: ignore[no-untyped-def]
     """Overlapping pairs of counter-clockwise triangles, and which are in any."""
     num = len(triangles)

@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from preprocess.errors import InputError
+from preprocess.jit import entry, helper
 from preprocess.mesh import Floats, Ints
 
 ROTATIONS = 16
@@ -158,7 +158,7 @@ def _upright(segments: Floats, charts: Ints, num_charts: int) -> Floats:
     return result
 
 
-@njit(cache=True)
+@helper
 def _rows(points, low, high, cosine, sine, half, left, right, corner):  # type: ignore[no-untyped-def]
     """Interval of cells in every row of a turned chart grown by `half`; returns the number of rows."""
     x_least, y_least, y_most = np.inf, np.inf, -np.inf
@@ -192,7 +192,7 @@ def _rows(points, low, high, cosine, sine, half, left, right, corner):  # type: 
     return rows
 
 
-@njit(cache=True)
+@entry
 def _drop_charts(  # type: ignore[no-untyped-def]
     points, first, order, sizes, cells, gutter, rotations, run, widest, left, right, offsets, turns
 ):

@@ -8,9 +8,9 @@ float64 (beyond 1e±140) are not supported; uvs never are there.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from preprocess.jit import entry, helper
 from preprocess.mesh import Floats, Ints
 
 SAFE_AREA_REL = 1e-9
@@ -37,7 +37,7 @@ def count_folds(uvs: Floats, face_uvs: Ints, face_charts: Ints, num_charts: int)
     return np.bincount(face_charts[bad], minlength=num_charts).astype(np.int32)
 
 
-@njit(cache=True)
+@helper
 def _add_product(terms, size, x, y):  # type: ignore[no-untyped-def]
     """Add x * y to an expansion (smallest part first): Dekker's exact product, Shewchuk's growth, part by part."""
     product = x * y
@@ -60,7 +60,7 @@ def _add_product(terms, size, x, y):  # type: ignore[no-untyped-def]
     return size
 
 
-@njit(cache=True)
+@helper
 def orient(ax, ay, bx, by, cx, cy, terms):  # type: ignore[no-untyped-def]
     """Exact sign of the turn a, b, c; `terms` is scratch space for 16 floats."""
     left, right = (ax - cx) * (by - cy), (ay - cy) * (bx - cx)
@@ -81,7 +81,7 @@ def orient(ax, ay, bx, by, cx, cy, terms):  # type: ignore[no-untyped-def]
     return 0
 
 
-@njit(cache=True)
+@entry
 def _orient_all(triangles, sign):  # type: ignore[no-untyped-def]
     terms = np.empty(16)
     for f in range(len(triangles)):

@@ -9,11 +9,11 @@ as shorter, so that borders follow them.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from preprocess.atlas.heap import pop, push
 from preprocess.atlas.layout import Layout
 from preprocess.atlas.topology import Bools, MeshEdges
+from preprocess.jit import entry
 from preprocess.mesh import Floats, TexturedSurface
 
 CREASE_DISCOUNT = 0.5
@@ -66,7 +66,7 @@ def relax_paths(surface: TexturedSurface, edges: MeshEdges, normals: Floats, lay
     )
 
 
-@njit(cache=True)
+@entry
 def _shorten(  # type: ignore[no-untyped-def]
     vertices, halves, glued, face_edges, neighbors, weights, first, incident,
     cut, degree, labels, path_first, path_vertices, path_edges, sweeps,

@@ -10,12 +10,12 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from preprocess.jit import entry
 from preprocess.mesh import Floats, TexturedSurface
 
 log = logging.getLogger(__name__)
@@ -87,7 +87,7 @@ def separate_charts(surface: TexturedSurface, face_charts: Int64s) -> tuple[Text
     return TexturedSurface(surface.positions, surface.faces, uvs, face_uvs), unique // max(len(surface.uvs), 1)
 
 
-@numba.njit(cache=True)
+@entry
 def _rasterise(points, triangles, reach, width, height):  # type: ignore[no-untyped-def]
     """Cells within `reach` of a chart's triangles, (height, width) uint8; points in cells, cell (0, 0) from 0 to 1."""
     cells = np.zeros((height, width), np.uint8)
@@ -122,7 +122,7 @@ def _rasterise(points, triangles, reach, width, height):  # type: ignore[no-unty
     return cells
 
 
-@numba.njit(cache=True)
+@entry
 def _find_place(occupied, rows, width, size, first_row):  # type: ignore[no-untyped-def]
     """Lowest, then leftmost place of a bitmap `rows` (h, words) in the grid, as (x, y); (-1, -1) if there is none."""
     height, words = rows.shape
@@ -149,7 +149,7 @@ def _find_place(occupied, rows, width, size, first_row):  # type: ignore[no-unty
     return -1, -1
 
 
-@numba.njit(cache=True)
+@entry
 def _occupy(occupied, rows, x, y):  # type: ignore[no-untyped-def]
     """Mark a bitmap at its place."""
     word, shift = x >> 6, np.uint64(x & 63)

@@ -9,9 +9,9 @@ keeps regions compact where the mesh is flat. No randomness: seeds are the faces
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from preprocess.atlas.heap import pop, push
+from preprocess.jit import entry, helper
 from preprocess.mesh import Floats, Ints
 
 COMPACTNESS = 0.25
@@ -70,7 +70,7 @@ def grow_regions(
     return len(seeds), regions.astype(np.int32)
 
 
-@njit(cache=True)
+@entry
 def _spread_seeds(points, order, first, counts, distance, seeds):  # type: ignore[no-untyped-def]
     """Farthest-point sampling in every domain; the first seed is the face farthest from the domain's mean."""
     n = 0
@@ -102,7 +102,7 @@ def _spread_seeds(points, order, first, counts, distance, seeds):  # type: ignor
             n += 1
 
 
-@njit(cache=True)
+@entry
 def _grow(neighbors, areas, points, domains, seeds, labels, iterations):  # type: ignore[no-untyped-def]
     """Lloyd's iteration: flood from the seeds with a heap, refit proxies and seeds. `seeds` is overwritten."""
     num_faces, num_regions = len(neighbors), len(seeds)
@@ -161,7 +161,7 @@ def _grow(neighbors, areas, points, domains, seeds, labels, iterations):  # type
                     seeds[r] = f
 
 
-@njit(cache=True)
+@helper
 def _distance_sq(a, i, b, j):  # type: ignore[no-untyped-def]
     e = 0.0
     for k in range(6):

@@ -12,9 +12,9 @@ barrier.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from preprocess.atlas.layout import Layout
+from preprocess.jit import entry, helper
 from preprocess.mesh import Floats, Ints, TexturedSurface
 
 MIN_AREA_REL = 1e-5
@@ -105,7 +105,7 @@ def face_energies(surface: TexturedSurface, uvs: Floats, face_uvs: Ints) -> Floa
     return 0.5 * area * trace / np.maximum(double * double, 1e-30)
 
 
-@njit(cache=True)
+@helper
 def _derivatives(uvs, face_uvs, edge_sq, first, incident, v, total):  # type: ignore[no-untyped-def]
     """Energy around a vertex, its gradient and Hessian: total = (E, Ex, Ey, Exx, Exy, Eyy)."""
     for i in range(6):
@@ -136,7 +136,7 @@ def _derivatives(uvs, face_uvs, edge_sq, first, incident, v, total):  # type: ig
         total[5] += w * (2 * opposite - 4 * ny * dy / d + 6 * n * dy * dy / (d * d))
 
 
-@njit(cache=True)
+@helper
 def _energy(uvs, face_uvs, edge_sq, first, incident, v):  # type: ignore[no-untyped-def]
     """Energy around a vertex; infinite where a face is folded or too thin."""
     energy = 0.0
@@ -157,7 +157,7 @@ def _energy(uvs, face_uvs, edge_sq, first, incident, v):  # type: ignore[no-unty
     return energy
 
 
-@njit(cache=True)
+@helper
 def _line_search(  # type: ignore[no-untyped-def]
     uvs, face_uvs, edge_sq, first, incident, parts, count, direction, begin, energy
 ):
@@ -180,7 +180,7 @@ def _line_search(  # type: ignore[no-untyped-def]
     return 0.0
 
 
-@njit(cache=True)
+@entry
 def _descend(  # type: ignore[no-untyped-def]
     uvs, face_uvs, edge_sq, first, incident, moving, tied, boundary, start, stop, fractions, sweeps
 ):

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from preprocess.jit import entry
 from preprocess.mesh import Floats, Ints, TexturedSurface
 from preprocess.seams import find_seams
 
@@ -127,7 +127,7 @@ def _start_loops_at_corners(joint: Floats, uv_points: Int64s, offsets: Int64s, i
     return np.where(turns[chain], turned, order)
 
 
-@numba.njit(cache=True)
+@entry
 def _walk_chains(vertices, uv_ids, first, incident, regular):  # type: ignore[no-untyped-def]
     """Follow the silhouette from corner to corner, then round the loops that have none.
 

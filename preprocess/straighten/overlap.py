@@ -6,17 +6,17 @@ are exact in the safe sense: orientations that rounding could turn count as touc
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from preprocess.jit import entry, helper
 from preprocess.mesh import Floats
 
 Bools = NDArray[np.bool_]
 ROUNDING = 1e-15  # error of an orientation in float64, relative to the magnitudes of its products
 
 
-@numba.njit(cache=True)
+@helper
 def _turn(ax, ay, bx, by, cx, cy):  # type: ignore[no-untyped-def]
     """Orientation of a, b, c: -1, 1, or 0 where rounding decides."""
     left, right = (bx - ax) * (cy - ay), (by - ay) * (cx - ax)
@@ -27,7 +27,7 @@ def _turn(ax, ay, bx, by, cx, cy):  # type: ignore[no-untyped-def]
     return 0 if abs(value) <= error else (1 if value > 0.0 else -1)
 
 
-@numba.njit(cache=True)
+@helper
 def _meet(p, q, ids_p, ids_q):  # type: ignore[no-untyped-def]
     """Whether segments p and q (ends as x0, y0, x1, y1), whose boxes overlap, meet where they should not."""
     shared = -1
@@ -52,7 +52,7 @@ def _meet(p, q, ids_p, ids_q):  # type: ignore[no-untyped-def]
     return a * b <= 0 and c * d <= 0
 
 
-@numba.njit(cache=True)
+@helper
 def _distance_sq(p, q):  # type: ignore[no-untyped-def]
     """Squared distance of two segments that do not cross: from an end of one to the other."""
     nearest = np.inf
@@ -67,7 +67,7 @@ def _distance_sq(p, q):  # type: ignore[no-untyped-def]
     return nearest
 
 
-@numba.njit(cache=True)
+@entry
 def _find_meeting(segments, ids, charts, keep_apart, gap, low, high, order):  # type: ignore[no-untyped-def]
     """Which segments meet another. `order` sorts them by their least x; `low` and `high` are their boxes."""
     n = len(segments)
@@ -126,7 +126,7 @@ def find_meeting_segments(
     return result
 
 
-@numba.njit(cache=True)
+@entry
 def find_swept_runs(joint, first, last, sides, run_charts, points, point_charts):  # type: ignore[no-untyped-def]
     """Which runs passed over a point of another chart on their way from outline to segment.
 

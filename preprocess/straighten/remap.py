@@ -20,12 +20,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
+from preprocess.jit import entry
 from preprocess.mesh import Floats, TexturedSurface
 
 Bools = NDArray[np.bool_]
@@ -121,7 +121,7 @@ def shape_distortions(surface: TexturedSurface, uvs: Floats, rest: RestShapes) -
     return square / np.maximum(2.0 * np.abs(_det(jacobian)), 1e-100 * np.maximum(square, 1e-100))
 
 
-@numba.njit(cache=True)
+@entry
 def _energy(points, faces, inverse, areas, epsilon, gradient):  # type: ignore[no-untyped-def]
     """Regularised distortion of all faces; adds its derivative by the points to `gradient` (N, 2)."""
     total = 0.0

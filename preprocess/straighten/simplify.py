@@ -12,10 +12,10 @@ in order and no gap below a quarter of its share.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from preprocess.jit import entry, helper
 from preprocess.mesh import Floats, Ints
 from preprocess.straighten.chains import Chains
 
@@ -25,7 +25,7 @@ LEAST_GAP = 0.25  # of the share by chord length: keeps the triangles along a ru
 LEAST_CHORD = 0.05  # a side's segment may not be shorter than this fraction of the path it replaces
 
 
-@numba.njit(cache=True)
+@helper
 def _run_fractions(joint, length, i, j, fractions):  # type: ignore[no-untyped-def]
     """Fractions of the points between i and j on the segment i..j, in order; False where the segment has no length."""
     dims = joint.shape[1]
@@ -53,7 +53,7 @@ def _run_fractions(joint, length, i, j, fractions):  # type: ignore[no-untyped-d
     return True
 
 
-@numba.njit(cache=True)
+@helper
 def _run_cost(joint, length, sides, i, j, limits_sq, fractions, suspect):  # type: ignore[no-untyped-def]
     """Sum of squared displacements of the run i..j, or -1 - k where point k moves farther than allowed."""
     dims = joint.shape[1]
@@ -87,7 +87,7 @@ def _run_cost(joint, length, sides, i, j, limits_sq, fractions, suspect):  # typ
     return total
 
 
-@numba.njit(cache=True)
+@helper
 def _simplify(joint, length, sides, must_keep, limits_sq):  # type: ignore[no-untyped-def]
     """Fewest runs that cover a chain: kept points (n,) bool and the fraction of every point on its run (n,).
 
@@ -132,7 +132,7 @@ def _simplify(joint, length, sides, must_keep, limits_sq):  # type: ignore[no-un
     return kept, fractions
 
 
-@numba.njit(cache=True)
+@entry
 def _simplify_all(offsets, joint, is_seam, must_keep, limits_sq, kept, fractions, pending):  # type: ignore[no-untyped-def]
     """`_simplify` for every chain that is marked, into `kept` and `fractions`."""
     for c in range(len(offsets) - 1):

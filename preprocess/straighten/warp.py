@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from preprocess.jit import entry
 from preprocess.mesh import Floats, TexturedSurface
 from preprocess.raster import Coverage, clamp_extrapolation, fill_outside, rasterise
 from preprocess.resample import sample_footprints
@@ -74,7 +74,7 @@ class Warp:
         return fill_outside(result, self.coverage.faces >= 0)
 
 
-@numba.njit(cache=True)
+@entry
 def _sample_cubic(texels, points_px):  # type: ignore[no-untyped-def]
     """Catmull-Rom samples (N, C) at texel coordinates (N, 2), within the range of their 4 x 4 texels; repeats."""
     height, width, channels = texels.shape
