@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+import weakref
+
 import numpy as np
 import pytest
 
 from preprocess.color import linear_to_srgb, srgb_to_linear
-from preprocess.erase import (
-    erase_mips,
-    plan_erasure,
-)
+from preprocess.erase import Eraser, erase_mips, mips, plan_erasure
 from preprocess.erase.mips import mip_sizes, shrink
 from preprocess.seams import find_seams
 from tests.builders_erase import MESHES, paint
@@ -26,6 +25,26 @@ def test_every_mip_level_is_seamless(size):
         assert level.stored.max.max() <= 0.5 / 255
         assert (level.after.total <= 1e-11).all()
     assert set(plans) == set(mip_sizes(*size))
+
+
+def test_without_a_place_to_keep_them_one_eraser_lives_at_a_time(monkeypatch):
+    surface = MESHES["cube"]
+    seams = find_seams(surface)
+    made: list[weakref.ref[Eraser]] = []
+    alive: list[int] = []
+
+    def plan(*arguments, **options):
+        alive.append(sum(eraser() is not None for eraser in made))
+        eraser = plan_erasure(*arguments, **options)
+        made.append(weakref.ref(eraser))
+        return eraser
+
+    monkeypatch.setattr(mips, "plan_erasure", plan)
+    chain = erase_mips(paint(32, 32), surface, seams, levels=255)
+    assert alive == [0] * len(chain)
+    kept = erase_mips(paint(32, 32), surface, seams, levels=255, plans={})
+    assert alive[len(chain) :] == list(range(len(kept)))
+    assert all((one.texels == other.texels).all() for one, other in zip(chain, kept, strict=True))
 
 
 def test_a_chain_may_end_where_closing_would_cost_the_colours():

@@ -54,6 +54,17 @@ def test_rounding_stays_in_range_where_the_solution_leaves_it():
     assert plan.measure(stored).max.max() <= 0.5
 
 
+def test_channels_come_into_range_each_by_itself():
+    surface = MESHES["cube"]
+    image = (paint(96, 96, seed=4) > 0.5).astype(float)
+    image[..., 1] = 0.25 + 0.5 * image[..., 1]  # sooner in range than the others
+    plan = plan_erasure(surface, find_seams(surface), 96, 96)
+    together = plan.erase(image, bounds=(0.0, 1.0)).texels
+    for channel in range(3):
+        alone = plan.erase(image[..., channel : channel + 1], bounds=(0.0, 1.0)).texels
+        np.testing.assert_allclose(alone[..., 0], together[..., channel], rtol=0, atol=2e-7)  # what is negligible
+
+
 def test_range_is_kept_where_the_bounded_solution_does_not_converge(monkeypatch):
     """What is left outside after too few repetitions goes by contrast: in range, seams as closed as before."""
     surface = MESHES["cube"]
