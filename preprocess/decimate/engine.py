@@ -245,7 +245,7 @@ class Engine:
         new_wedge[wedges] = np.arange(len(wedges))
         owners = np.zeros(len(mesh.xyz), np.int64)
         owners[faces[::-1].ravel()] = face_uvs[::-1].ravel()
-        if self.shows_surface:
+        if self.position_texture is None or self.shows_surface:
             positions = mesh.xyz[vertices] * self.scale_m + self.centre_m
         else:
             positions = sample_bilinear(self.position_texture, mesh.uv[owners[vertices]])
