@@ -83,7 +83,7 @@ def lie_beyond(uvs: Floats, weights: Floats, weight_size: tuple[int, int]) -> ND
     """
     last = np.array(weight_size) - 1
     px = uv_to_px(uvs, *weight_size)
-    beyond: NDArray[np.bool_] = ((px < 0.0) | (px > last)).any(axis=1)
+    beyond = np.asarray(((px < 0.0) | (px > last)).any(axis=1), np.bool_)
     if not beyond.any():
         return beyond
     cell = np.clip(px.astype(np.int64), 0, np.maximum(last - 1, 0)) @ (1, weight_size[0])
@@ -136,7 +136,7 @@ def park_vertices(
     np.minimum.at(allowed_rel, point_of.ravel(), np.repeat(allowed, [len(part) for part in wanted]))
     of_points = np.concatenate(weights)[first]
     off_rel = np.linalg.norm(sample_bilinear(texels, uvs) - positions, axis=1) / max(diagonal_m, 1e-30)
-    off_rel[lie_beyond(uvs, of_points, weight_size)] += 1.01 * PARK_REL
+    off_rel += np.where(lie_beyond(uvs, of_points, weight_size), 1.01 * allowed_rel, 0.0)
     off = np.flatnonzero(off_rel > allowed_rel)
     of_finest = np.isin(np.arange(len(points)), point_of.ravel()[: len(wanted[0])])
     off = off[np.lexsort((-off_rel[off] / allowed_rel[off], ~of_finest[off]))]
