@@ -18,6 +18,7 @@ from preprocess.mesh import Floats, SkinnedMesh
 from runtime.asset import Asset
 
 Ints = NDArray[np.integer]
+POINTS_AT_ONCE = 32  # beside all triangles
 
 
 @dataclass(frozen=True)
@@ -69,8 +70,23 @@ def single_faces(mesh: SkinnedMesh) -> Ints:
     return np.flatnonzero(count[face.ravel()] == 1)
 
 
-def _nearest_on_triangles(points: Floats, triangles: Floats) -> tuple[Ints, Floats]:
-    """The nearest of a few triangles (T, 3, 3) to each point (N, 3), and where on it."""
+def _normals(triangles: Floats) -> Floats:
+    """Normals of triangles (T, 3, 3), not of unit length."""
+    normals: Floats = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    return normals
+
+
+def _nearest_on_triangles(points: Floats, facing: Floats, triangles: Floats) -> tuple[Ints, Floats]:
+    """The nearest of triangles (T, 3, 3) to each point (N, 3) that faces its way, and where on it."""
+    parts = [
+        _nearest_of_some(points[i : i + POINTS_AT_ONCE], facing[i : i + POINTS_AT_ONCE], triangles)
+        for i in range(0, len(points), POINTS_AT_ONCE)
+    ]
+    return np.concatenate([best for best, _ in parts]), np.concatenate([shares for _, shares in parts])
+
+
+def _nearest_of_some(points: Floats, facing: Floats, triangles: Floats) -> tuple[Ints, Floats]:
+    """The same for a few points, all triangles at once."""
     edge_b, edge_c = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     offset = points[:, None] - triangles[:, 0]
     bb, bc, cc = (edge_b**2).sum(1), (edge_b * edge_c).sum(1), (edge_c**2).sum(1)
@@ -80,7 +96,7 @@ def _nearest_on_triangles(points: Floats, triangles: Floats) -> tuple[Ints, Floa
     shares = np.maximum(np.stack([1.0 - b - c, b, c], axis=2), 0.0)
     shares /= shares.sum(axis=2, keepdims=True)
     apart = np.linalg.norm(np.einsum("ntk,tki->nti", shares, triangles) - points[:, None], axis=2)
-    best = apart.argmin(axis=1)
+    best = np.where(facing @ _normals(triangles).T > 0, apart, np.inf).argmin(axis=1)
     return best, shares[np.arange(len(points)), best]
 
 
@@ -112,10 +128,8 @@ def find_drawn_points(asset: Asset, mesh: SkinnedMesh, faces: Ints, shares: Floa
     found = match[faces]
     result = np.take_along_axis(shares, (np.arange(3) - turn[faces][:, None]) % 3, axis=1)
     own = found >= 0
-    left = np.setdiff1d(np.arange(len(triangles)), match)
-    if len(left) and not own.all():
+    if not own.all():
         corners = mesh.surface.positions[mesh.surface.faces[faces[~own]]]
         places = np.einsum("nk,nki->ni", shares[~own], corners)
-        best, result[~own] = _nearest_on_triangles(places, positions[point[triangles[left]]])
-        found[~own] = left[best]
+        found[~own], result[~own] = _nearest_on_triangles(places, _normals(corners), positions[point[triangles]])
     return DrawnPoints(triangles[found], result, own)
