@@ -10,7 +10,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from preprocess.decimate.departure import (
+    NONE,
     find_face,
     gather,
     hand_over,
@@ -40,6 +43,7 @@ from preprocess.decimate.rules import (
 from preprocess.decimate.topology import TAIL, TWIN, WEDGE, next_of, previous_of
 from preprocess.decimate.validity import position_stays, uv_area, uv_stays
 
+ONE, TWO = np.int64(1), np.int64(2)  # NumPy integers: see quadrics.py
 # What a change must gain to be made, so that the run comes to rest.
 WORTH = 0.97
 # Shares of the way to a neighbour that a vertex tries, the first that helps.
@@ -54,7 +58,7 @@ MIN_TURN_DOT, TURN_MARGIN = 0.5, 4.0
 @helper
 def _sum_of_departures(m, rows, count, limit):
     """Sum of the sixth powers over the gathered witnesses; infinity where it is not below the limit."""
-    total, guess = 0.0, 0
+    total, guess = 0.0, NONE
     for j in range(count):
         found = find_face(m, m.witnesses[j, GATHERED], m.witnesses[j, ITS_CHART], rows, guess)
         if found >= 0:
@@ -69,7 +73,7 @@ def _sum_of_departures(m, rows, count, limit):
 @helper
 def _gather_star(m, v):
     """Gather the witnesses over the faces around a vertex; returns how many there are."""
-    count = 0
+    count = NONE
     start = m.vertices[v, OUT]
     g = start
     while True:
@@ -83,14 +87,14 @@ def _gather_star(m, v):
 @helper
 def _write_star(m, v, du, dv):
     """Write the faces around a vertex with it at the apex and its uvs shifted; returns their number, 0 if too many."""
-    rows = 0
+    rows = NONE
     start = m.vertices[v, OUT]
     g = start
     while True:
         w = m.links[g, WEDGE]
         if w >= 0:
             if rows == len(m.fan):
-                return 0
+                return NONE
             write_face(m, rows, g // 3, m.uv[w, 0] + du, m.uv[w, 1] + dv, next_of(g), previous_of(g))
             rows += 1
         g = m.links[previous_of(g), TWIN]
@@ -307,20 +311,20 @@ def _turn(m, h):
     if links[h, WEDGE] < 0 or links[t, WEDGE] < 0 or is_silhouette(links, h):
         return False
     f, e = h // 3, t // 3
-    count = gather(m, e, gather(m, f, 0))
+    count = gather(m, e, gather(m, f, NONE))
     if count == 0 or m.faces[f, SIGN] != m.faces[e, SIGN] or not _turn_holds(m, h):
         return False
     hn, hp, tn, tp = next_of(h), previous_of(h), next_of(t), previous_of(t)
     a, b, c, d = links[h, TAIL], links[t, TAIL], links[hp, TAIL], links[tp, TAIL]
     wa, wb, wc, wd = links[h, WEDGE], links[t, WEDGE], links[hp, WEDGE], links[tp, WEDGE]
     set_apex(m, a)
-    write_face(m, 0, f, m.uv[wa, 0], m.uv[wa, 1], t, hp)
-    write_face(m, 1, e, m.uv[wa, 0], m.uv[wa, 1], tp, t)
-    before = _sum_of_departures(m, 2, count, math.inf)
-    write_face(m, 0, f, m.uv[wa, 0], m.uv[wa, 1], tp, hp)
+    write_face(m, NONE, f, m.uv[wa, 0], m.uv[wa, 1], t, hp)
+    write_face(m, ONE, e, m.uv[wa, 0], m.uv[wa, 1], tp, t)
+    before = _sum_of_departures(m, TWO, count, math.inf)
+    write_face(m, NONE, f, m.uv[wa, 0], m.uv[wa, 1], tp, hp)
     set_apex(m, d)
-    write_face(m, 1, e, m.uv[wd, 0], m.uv[wd, 1], t, hp)
-    if not _sum_of_departures(m, 2, count, WORTH * before) < math.inf:
+    write_face(m, ONE, e, m.uv[wd, 0], m.uv[wd, 1], t, hp)
+    if not _sum_of_departures(m, TWO, count, WORTH * before) < math.inf:
         return False
     # Faces (a, d, c) in the places of h, hn, hp and (c, d, b) in those of t, tn, tp.
     to_a, from_b, from_a, to_b = links[hp, TWIN], links[hn, TWIN], links[tn, TWIN], links[tp, TWIN]
@@ -340,7 +344,7 @@ def _turn(m, h):
     m.vertices[a, OUT], m.vertices[b, OUT], m.vertices[c, OUT], m.vertices[d, OUT] = h, tp, hp, tn
     m.faces[f, FIRST_WITNESS] = -1
     m.faces[e, FIRST_WITNESS] = -1
-    hand_over(m, 2, count)
+    hand_over(m, TWO, count)
     return True
 
 
