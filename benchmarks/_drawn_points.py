@@ -19,6 +19,7 @@ from runtime.asset import Asset
 
 Ints = NDArray[np.integer]
 POINTS_AT_ONCE = 32  # beside all triangles
+SAME_REL = 1e-3  # a drawn vertex further than this from every vertex of the source is none of them
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,12 @@ def find_drawn_points(asset: Asset, mesh: SkinnedMesh, faces: Ints, shares: Floa
     _, point = np.unique(level.owner_uvs, axis=0, return_inverse=True)
     point = point.ravel()
     dense, place = mesh.dense_weights(asset.num_joints), _places(mesh)
-    of_vertex = place[_classes(positions, weights, mesh, dense)][point]
+    classes = _classes(positions, weights, mesh, dense)
+    of_place = place[classes]
+    apart = np.linalg.norm(positions - mesh.surface.positions[classes], axis=1)
+    strange = apart > SAME_REL * mesh.surface.diagonal_m  # in the middle of a divided edge
+    of_place[strange] = -1 - np.flatnonzero(strange)
+    of_vertex = of_place[point]
     drawn, drawn_turns = _turned(of_vertex[triangles])
     wanted, wanted_turns = _turned(place[mesh.surface.faces])
     lookup = {tuple(corners): number for number, corners in reversed(list(enumerate(drawn.tolist())))}
