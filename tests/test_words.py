@@ -7,7 +7,7 @@ import pytest
 
 from preprocess.erase import measure_seams
 from preprocess.geometry import words as stage
-from preprocess.geometry.words import round_positions
+from preprocess.geometry.words import are_worth_it, round_positions
 from preprocess.mesh import TexturedSurface
 from preprocess.seams import find_seams
 from preprocess.texels import px_to_uv, sample_bilinear
@@ -145,3 +145,10 @@ def test_the_kernel_does_what_the_formula_says() -> None:
     assert np.allclose(moved, slow) and np.allclose(rest, slow_left)
     assert np.allclose(rest, left + rows @ (moved - off))
     assert cost(moved, rest) < cost(off, left)
+
+
+def test_words_are_for_small_characters() -> None:
+    """A fox of 1,300 vertices in all levels, and a man of 34,000."""
+    assert are_worth_it((92, 92), 1_300)
+    assert not are_worth_it((272, 272), 34_000)
+    assert not are_worth_it((192, 192), 11_000)

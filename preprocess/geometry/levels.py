@@ -29,7 +29,7 @@ from preprocess.geometry.weight_details import (
     sample_weights,
 )
 from preprocess.geometry.weights import unpack_weights
-from preprocess.geometry.words import round_positions
+from preprocess.geometry.words import are_worth_it, round_positions
 from preprocess.gltf.locate import locate_corners
 from preprocess.mesh import Floats, SkinnedMesh
 from preprocess.raster import rasterise
@@ -259,6 +259,9 @@ def fit_levels(
     texels = position.levels[0].astype(np.float32)
     size = by_name["weights"].size
     texels, fitted = park_vertices(texels, lods, full, mesh.surface.diagonal_m, weights, size)
-    by_name["position"], fitted = _in_words(position, texels.astype(np.float64), mesh, fitted, full)
+    if are_worth_it(position.size, sum(len(lod.uvs) for lod in fitted)):
+        by_name["position"], fitted = _in_words(position, texels.astype(np.float64), mesh, fitted, full)
+    else:
+        by_name["position"] = dataclasses.replace(position, levels=(texels,))
     by_name["weights"] = _detail(by_name["weights"], mesh, fitted, owners, poses)
     return list(by_name.values()), _measured(mesh, by_name["weights"], fitted, lods, poses)

@@ -8,6 +8,8 @@ each takes the whole number that lowers
 
 until none moves. Vertices come out better than they were, seams about as closed. Between them the surface moves by a
 step or two at most.
+Divided surfaces show that step or two at their outlines, as a jitter. So words are for the small characters whose texels
+would weigh more than the vertices that they stand for; all others keep 16 bits a channel.
 Letters in shapes: N points, T texels that any of them or a seam reads, R rows (points, and three a seam interval).
 """
 
@@ -28,10 +30,18 @@ from runtime.position_words import PositionWords, choose_words
 
 log = logging.getLogger(__name__)
 
+CLASSIC_VERTEX_BYTES = 68  # position, normal, tangent, uv, joints and weights, as glTF has them
+CHANNELS_BYTES = 8  # of a texel in 16 bits a channel
+WORTH_REL = 0.5  # share of the classic vertices' bytes from which on such texels are too heavy
 JUMP_WEIGHT = 1.0
 STAY = 1e-3  # of a median texel's own weight, for every squared step away from what is wanted
 REACH = 1.5  # steps that a texel may be from what is wanted
 MAX_SWEEPS = 40  # a dozen do
+
+
+def are_worth_it(size: tuple[int, int], num_vertices: int) -> bool:
+    """Whether a position texture of this size should be in words, for so many vertices in all levels together."""
+    return size[0] * size[1] * CHANNELS_BYTES > WORTH_REL * num_vertices * CLASSIC_VERTEX_BYTES
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
