@@ -33,8 +33,21 @@ class Skinning:
         """Matrices at uv points (N, 2): (P, N, 3, 4) float64."""
         if not len(self.matrices):
             return np.zeros((0, len(uvs), 3, 4))
-        _, faces, weights = self.tree.query(np.c_[uvs, np.zeros(len(uvs))])
+        faces, weights = locate_uvs(self.tree, uvs)
         return np.einsum("nk,pnkij->pnij", weights, self.matrices[:, self.corners[faces]])
+
+
+def uv_tree(corner_uvs: Floats) -> NearestTree:
+    """Faces as triangles of the atlas, from their corners (F, 3, 2)."""
+    flat = np.zeros((*corner_uvs.shape[:2], 3))
+    flat[..., :2] = corner_uvs
+    return build_tree(flat)
+
+
+def locate_uvs(tree: NearestTree, uvs: Floats) -> tuple[NDArray[np.int64], Floats]:
+    """The face at each place of the atlas (N, 2), or nearest to it: faces (N,), barycentric coordinates (N, 3)."""
+    _, faces, weights = tree.query(np.c_[uvs, np.zeros(len(uvs))])
+    return faces, weights
 
 
 def make_skinning(matrices: Floats, corners: NDArray[np.integer], corner_uvs: Floats) -> Skinning:
@@ -46,6 +59,4 @@ def make_skinning(matrices: Floats, corners: NDArray[np.integer], corner_uvs: Fl
     corners : (F, 3) int
     corner_uvs : (F, 3, 2) float64
     """
-    flat = np.zeros((*corner_uvs.shape[:2], 3))
-    flat[..., :2] = corner_uvs
-    return Skinning(matrices, corners, build_tree(flat))
+    return Skinning(matrices, corners, uv_tree(corner_uvs))

@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 
 from preprocess.decimate import Lod
 from preprocess.decimate.measure import make_reference, measure
+from preprocess.decimate.skinning import locate_uvs, uv_tree
 from preprocess.erase import measure_seams
 from preprocess.geometry.bake import vertex_values
 from preprocess.geometry.parking import park_vertices
@@ -30,7 +31,6 @@ from preprocess.geometry.weight_details import (
 )
 from preprocess.geometry.weights import unpack_weights
 from preprocess.geometry.words import are_worth_it, round_positions
-from preprocess.gltf.locate import locate_corners
 from preprocess.mesh import Floats, SkinnedMesh
 from preprocess.raster import rasterise
 from preprocess.seams import find_seams
@@ -64,16 +64,15 @@ class _OnFullMesh:
         return blended
 
 
-def _locate_owners(mesh: SkinnedMesh, lod: Lod) -> _OnFullMesh:
-    """Where the owners of a level's vertices lie on the full mesh."""
-    places, _, corners = locate_corners(mesh.surface, lod.surface, lod.face_source)
-    vertex = lod.faces.reshape(-1)[corners]
-    owns = lod.face_uvs.reshape(-1)[corners] == lod.owner_uvs[vertex]
-    order = np.lexsort((np.arange(len(owns)), ~owns, vertex))
-    point = np.zeros(len(lod.positions), np.int64)
-    point[vertex[order[::-1]]] = order[::-1]
-    rows = places.firsts[point]
-    return _OnFullMesh(mesh.surface.faces[places.faces[rows]].astype(np.int64), places.barycentrics[rows])
+def _locate_owners(mesh: SkinnedMesh, lods: Sequence[Lod]) -> list[_OnFullMesh]:
+    """Where the owners of levels' vertices lie on the full mesh: at their uvs, where decimation takes their weights.
+
+    Not near their positions, since vertices of coarse levels lie off the surface.
+    """
+    surface = mesh.surface
+    tree = uv_tree(surface.uvs[surface.face_uvs])
+    located = (locate_uvs(tree, lod.uvs[lod.owner_uvs]) for lod in lods)
+    return [_OnFullMesh(surface.faces[faces].astype(np.int64), barycentrics) for faces, barycentrics in located]
 
 
 def _at_vertices(vertices: NDArray[np.int64]) -> _OnFullMesh:
@@ -251,7 +250,7 @@ def fit_levels(
         With `fetch_uvs` and the distances of what is drawn.
     """
     by_name = {texture.name: texture for texture in textures}
-    owners = [_locate_full(mesh, lods[0]), *(_locate_owners(mesh, lod) for lod in lods[1:])]
+    owners = [_locate_full(mesh, lods[0]), *_locate_owners(mesh, lods[1:])]
     position = by_name["position"]
     full = owners[0].blend(mesh.surface.positions)
     dense = mesh.dense_weights(poses.shape[1])

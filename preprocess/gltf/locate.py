@@ -1,9 +1,9 @@
 """Where on the full mesh the corners of a level of detail lie.
 
 A corner is looked for by its place in the atlas and on the surface together, among the faces around the nearest
-corners of the full mesh and the face its own stems from, in the same connected component. Either alone is not
-enough: charts may overlap in uv (a palette), and parts may touch in space. The atlas counts most, since vertices of
-coarse levels lie off the surface.
+corners of the full mesh, the face its own stems from and the one at its uv, in the same connected component. Either
+alone is not enough: charts may overlap in uv (a palette), and parts may touch in space. The atlas counts most, since
+vertices of coarse levels lie off the surface.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from preprocess.decimate.skinning import locate_uvs, uv_tree
 from preprocess.gltf.grouping import Indices, group_rows, join_pairs
 from preprocess.mesh import Floats, TexturedSurface
 
@@ -117,9 +118,12 @@ def locate_corners(
     starts = np.cumsum(valence) - valence
     flat = nearest.reshape(-1)
     owner, slot = expand_ranges(starts[flat], np.minimum(valence[flat], MAX_FACES_A_CORNER))
-    # The faces that the level's faces stem from are tried as well: a large one may have no corner nearby.
-    candidate = np.r_[owner // count, point]
-    face = np.r_[order[slot] // 3, np.repeat(face_source.astype(np.int64), 3)]
+    # A large face may have no corner nearby: those that the level's faces stem from are tried as well, and what lies
+    # at the very place in the atlas.
+    there, _ = locate_uvs(uv_tree(full.uvs[full.face_uvs]), level.uvs[level.face_uvs.reshape(-1)[point_corners]])
+    own = np.flatnonzero(components[there] == components[face_source][point_corners // 3])
+    candidate = np.r_[owner // count, point, own]
+    face = np.r_[order[slot] // 3, np.repeat(face_source.astype(np.int64), 3), there[own]]
     _, distinct = group_rows(candidate, face)
     candidate, face = candidate[distinct], face[distinct]
 
