@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
+import pytest
 
 from preprocess.decimate import Lod
+from preprocess.geometry import parking
 from preprocess.geometry.parking import _along_curve, free_texels, lie_beyond, park_vertices
 from preprocess.settings import PARK_REL
 from preprocess.texels import sample_bilinear, snap_owner_uvs
@@ -95,6 +99,22 @@ def test_what_is_alike_is_parked_in_one_cell_of_the_weight_map() -> None:
     assert (cells == cells[0]).all()  # of 3.6 x 3.6 texels
     order = np.argsort(_along_curve(places - cells))
     assert (np.diff(np.arange(13)[order] % 3) >= 0).all()  # joint by joint, quarter by quarter
+
+
+def test_where_room_is_short_those_that_no_weights_would_suit_go_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two free texels, eleven vertices far off, and two that are right but beyond the weight map, on unlike joints."""
+    monkeypatch.setattr(parking, "free_texels", lambda *_: np.array([(20, 20), (21, 20)]))
+    full = crowded_level()
+    beyond = np.array([(0.01, 0.01), (0.02, 0.01)])
+    uvs = np.r_[full.uvs[:-2], beyond]
+    texels = np.random.default_rng(1).normal(size=(*SIZE, 3)).astype(np.float32)
+    right = [sample_bilinear(texels, snap_owner_uvs(places)) for places in (full.uvs, beyond)]
+    coarse = dataclasses.replace(full, uvs=uvs, positions=np.r_[full.positions[:-2], right[1]])
+    weights = [np.tile((1.0, 0.0), (13, 1)), np.r_[np.tile((1.0, 0.0), (12, 1)), [(0.0, 1.0)]]]
+    _, (_, fitted) = park_vertices(texels, [full, coarse], right[0], 1.0, weights, WEIGHT_SIZE)
+    assert fitted.fetch_uvs is not None
+    moved = (fitted.fetch_uvs != snap_owner_uvs(uvs)).any(axis=1)
+    assert np.flatnonzero(moved).tolist() == [11, 12]
 
 
 def test_points_beyond_the_weight_map_are_found_where_weights_differ() -> None:

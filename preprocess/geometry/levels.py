@@ -221,6 +221,8 @@ def _measured(
         )
         found = measure(reference, lod, np.einsum("vj,pjik->pvik", drawn, rows))
         error_m = max(found.largest_m, finished[-1].error_m, 0.0 if lod.exact else before.error_m)
+        if found.largest_m > (1.0 + LEVEL_SHARE) * max(before.error_m, lods[0].error_m):
+            log.info("%d faces: %.3g m off as drawn, %.3g by decimation", lod.num_faces, error_m, before.error_m)
         finished.append(
             dataclasses.replace(lod, error_m=error_m, mean_error_m=found.mean_m, normal_error_rad=found.normal_rad)
         )

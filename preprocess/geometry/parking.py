@@ -136,10 +136,12 @@ def park_vertices(
     np.minimum.at(allowed_rel, point_of.ravel(), np.repeat(allowed, [len(part) for part in wanted]))
     of_points = np.concatenate(weights)[first]
     off_rel = np.linalg.norm(sample_bilinear(texels, uvs) - positions, axis=1) / max(diagonal_m, 1e-30)
-    off_rel += np.where(lie_beyond(uvs, of_points, weight_size), 1.01 * allowed_rel, 0.0)
+    beyond = lie_beyond(uvs, of_points, weight_size)
+    off_rel += np.where(beyond, 1.01 * allowed_rel, 0.0)
     off = np.flatnonzero(off_rel > allowed_rel)
     of_finest = np.isin(np.arange(len(points)), point_of.ravel()[: len(wanted[0])])
-    off = off[np.lexsort((-off_rel[off] / allowed_rel[off], ~of_finest[off]))]
+    # Room may be short. No details help what lies beyond the map, and in poses wrong weights move it furthest.
+    off = off[np.lexsort((-off_rel[off] / allowed_rel[off], ~beyond[off], ~of_finest[off]))]
     free = free_texels(lods, (width, height), weight_size)[: len(off)]
     parked = off[: len(free)]
     parked = parked[_alike_together(of_points[parked])]

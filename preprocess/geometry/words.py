@@ -8,8 +8,8 @@ each takes the whole number that lowers
 
 until none moves. Vertices come out better than they were, seams about as closed. Between them the surface moves by a
 step or two at most.
-Divided surfaces show that step or two at their outlines, as a jitter. So words are for the small characters whose texels
-would weigh more than the vertices that they stand for; all others keep 16 bits a channel.
+Divided surfaces show that step or two at their outlines, as a jitter. So words are for the small characters whose
+texels would weigh more than the vertices that they stand for; all others keep 16 bits a channel.
 Letters in shapes: N points, T texels that any of them or a seam reads, R rows (points, and three a seam interval).
 """
 
