@@ -39,15 +39,20 @@ class Factor:
     ----------
     lu : SuperLU
         With pivots on the diagonal.
+    order : (N,) int64 or None
+        The unknown of each of its rows, where these were put in order first.
     """
 
     lu: Any
+    order: NDArray[np.int64] | None = None
 
     @cached_property
     def _triangle(self) -> _Triangle:
         """L and D taken out of SuperLU; a copy, so only made where many channels repay it."""
         pivots, lower = self.lu.U.diagonal(), self.lu.L
         order = np.argsort(self.lu.perm_c)
+        if self.order is not None:
+            order = self.order[order]
         below = lower.indices > np.repeat(np.arange(len(order), dtype=np.int32), np.diff(lower.indptr))
         starts = np.concatenate([[0], np.cumsum(below)])[lower.indptr].astype(np.int32)
         return _Triangle(order, starts, lower.indices[below], lower.data[below], pivots)
@@ -55,7 +60,11 @@ class Factor:
     def solve(self, right: Floats) -> Floats:
         """Solution for right-hand sides, (N, C) float64."""
         if right.shape[1] <= FEW_CHANNELS:
-            return np.asarray(self.lu.solve(np.ascontiguousarray(right, np.float64)))
+            if self.order is None:
+                return np.asarray(self.lu.solve(np.ascontiguousarray(right, np.float64)))
+            result = np.empty(right.shape)
+            result[self.order] = self.lu.solve(np.ascontiguousarray(right[self.order], np.float64))
+            return result
         from preprocess.substitution import substitute  # numba takes 100 MB: only where it pays
 
         triangle = self._triangle
@@ -66,12 +75,14 @@ class Factor:
         return result
 
 
-def factor_symmetric(matrix: sparse.csc_array | sparse.csc_matrix) -> Factor:
+def factor_symmetric(matrix: sparse.csc_array | sparse.csc_matrix, order: NDArray[np.int64] | None = None) -> Factor:
     """Factor a symmetric positive definite matrix.
 
     Parameters
     ----------
     matrix : (N, N) sparse
+    order : (N,) int64, optional
+        In which the unknowns are eliminated; by minimum degree where none is given.
 
     Returns
     -------
@@ -84,9 +95,11 @@ def factor_symmetric(matrix: sparse.csc_array | sparse.csc_matrix) -> Factor:
     ValueError
         If it is not positive definite: pivots would have to leave the diagonal.
     """
+    if order is not None:
+        matrix = sparse.csc_array(matrix[order][:, order])
     lu = linalg.splu(
         matrix,
-        permc_spec="MMD_AT_PLUS_A",
+        permc_spec="MMD_AT_PLUS_A" if order is None else "NATURAL",
         diag_pivot_thresh=0.0,
         relax=4,  # with 1, SuperLU takes some definite matrices for singular
         panel_size=1,
@@ -94,4 +107,4 @@ def factor_symmetric(matrix: sparse.csc_array | sparse.csc_matrix) -> Factor:
     )
     if not np.array_equal(lu.perm_r, lu.perm_c):
         raise ValueError("the matrix is not positive definite")
-    return Factor(lu)
+    return Factor(lu, order)

@@ -92,6 +92,7 @@ def build(model: Path, destination: Path, settings: Settings, progress: Progress
         warnings = (
             *character.warnings,
             *atlas.warnings,
+            *baking.notes,
             *chain.repairs.warnings(),
             *chain.warnings,
             *_missed_levels(chain, settings),

@@ -24,7 +24,7 @@ class Settings:
         textures whose two sides differ in tone.
     geometry_size_px, weight_size_px, color_size_px : int or None
         Sides of the square textures. None (auto): geometry and weights as small as the accuracy goals allow,
-        colours at the source's density.
+        colours at the source's density, up to 4096 and to four texels for each that the source uses.
     lod_ratios : tuple of float or None
         Faces of each level below the full mesh as a fraction of it; the full mesh is always there. None (auto): each
         about half the one before, to the floor.

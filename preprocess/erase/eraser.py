@@ -211,6 +211,11 @@ class Eraser:
         attenuation = stiffness / max(4 * stiffness + weights.change / num_inside, 1e-300)
         yield spread_near(self.grid, self.region, solution.change, negligible, attenuation)
 
+    @property
+    def is_large(self) -> bool:
+        """Whether its system is solved once, neither within a range nor with tighter limits."""
+        return self.factor is not None and self.factor.is_large
+
     @cached_property
     def strip(self) -> SeamStrip:
         """Samples along the joined seams, for rounding."""
@@ -288,7 +293,8 @@ class Eraser:
         unknowns = self.grid.unknown_of(self.strip.texels)
         lower, upper = bounds[0] / span - values[on_seam], bounds[1] / span - values[on_seam]
         start = free[unknowns]
-        if max((lower - start).max(initial=0.0), (start - upper).max(initial=0.0)) <= BOUND_TOLERANCE_REL:
+        worst = max((lower - start).max(initial=0.0), (start - upper).max(initial=0.0))
+        if worst <= BOUND_TOLERANCE_REL or self.factor.is_large:  # then rounding cuts off what is out of range
             return free, after
         unknowns, pulled = self._bounded
         free, excess = solve_bounded(self.factor, pulled, force, jump - goal, free, unknowns, lower, upper)

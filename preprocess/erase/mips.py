@@ -33,6 +33,10 @@ VISIBLE = 0.5 / 255
 JUMP_LIMIT = 0.2 / 255
 TIGHTER = (1.0, 0.3, 0.1)
 
+# A chain also ends where charts are narrower, but for levels of so few texels that they cost nothing.
+NARROW_PX = 1.2
+FEW_TEXELS = 100 * 100
+
 
 @dataclass(frozen=True)
 class Level:
@@ -44,12 +48,15 @@ class Level:
         uint8 or uint16 where integers were asked for, else float64.
     before, after, stored : SeamMeasure
         Jump of the box-filtered level, of the solution, and of `texels` (integers as values in [0, 1]).
+    is_large : bool
+        Whether it has so many unknowns that it was solved once, whatever its largest jump.
     """
 
     texels: NDArray[Any]
     before: SeamMeasure
     after: SeamMeasure
     stored: SeamMeasure
+    is_large: bool = False
 
 
 def mip_sizes(width: int, height: int, smallest: int = 1) -> list[tuple[int, int]]:
@@ -59,6 +66,18 @@ def mip_sizes(width: int, height: int, smallest: int = 1) -> list[tuple[int, int
         w, h = sizes[-1]
         sizes.append((max(w // 2, 1), max(h // 2, 1)))
     return sizes
+
+
+def is_crowded(surface: TexturedSurface, seams: Seams, width: int, height: int) -> bool:
+    """Whether charts are narrower than a texel, and so many that every texel is tied to thousands of others."""
+    if width * height <= FEW_TEXELS or not len(seams.vertices):
+        return False
+    corners = surface.uvs[surface.face_uvs] * (width, height)
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()
+    sides = surface.uvs[seams.uv_pairs] * (width, height)
+    outline = np.linalg.norm(sides[:, :, 1] - sides[:, :, 0], axis=2).sum()
+    return bool(4.0 * area < NARROW_PX * outline)  # a square of side s has an area of s² in an outline of 4 s
 
 
 def _box_weights(size: int, new_size: int) -> sparse.csr_array:
@@ -162,6 +181,8 @@ def erase_mips(
     current: NDArray[Any] = np.asarray(texels, np.float32) if levels else np.asarray(texels, np.float64)
     used: NDArray[np.bool_] | None = None
     for w, h in mip_sizes(width, height, smallest):
+        if chain and is_crowded(surface, seams, w, h):
+            break
         if used is not None:
             light = current.copy()
             for row in light:
@@ -183,7 +204,8 @@ def erase_mips(
         result, stored = _stored(erased.texels, plan, levels)
         # A finite seam weight says nothing of single points, and rounding may find no room beside the jumps that are
         # allowed: smaller limits then, until what is stored stays within half an 8-bit step.
-        for tighter in TIGHTER if levels and options.seam_weight is not None else ():
+        again_and_again = levels and options.seam_weight is not None and not plan.is_large
+        for tighter in TIGHTER if again_and_again else ():
             if stored.max.max(initial=0.0) <= VISIBLE:
                 break
             if limit is not None and tighter == 1.0:
@@ -193,7 +215,7 @@ def erase_mips(
             rounded, measured = _stored(again.texels, plan, levels)
             if measured.max.max() < stored.max.max():
                 erased, result, stored = again, rounded, measured
-        chain.append(Level(result, plan.measure(current), plan.measure(erased.texels), stored))
+        chain.append(Level(result, plan.measure(current), plan.measure(erased.texels), stored, plan.is_large))
         current = erased.texels
         used = plan.region.used
         del plan  # before the next is made: its factors are the largest part of the memory

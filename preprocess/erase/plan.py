@@ -10,6 +10,7 @@ import logging
 
 import numpy as np
 from scipy import sparse
+from scipy.spatial import cKDTree
 
 from preprocess.erase.eraser import Erased, Eraser, surface_vertices
 from preprocess.erase.grid import Grid, build_grid
@@ -21,6 +22,7 @@ from preprocess.erase.solve import factorise
 from preprocess.erase.terms import inward_normals, jump_elements, sample_rows, slope_elements, to_rows, value_rows
 from preprocess.mesh import Floats, TexturedSurface
 from preprocess.seams import Seams
+from preprocess.texels import uv_to_px
 
 logger = logging.getLogger(__name__)
 
@@ -132,9 +134,17 @@ def plan_erasure(
         row_scales = jump[:, :, :4].sum(axis=2).reshape(-1)  # one side's weights sum to one before they are scaled
         seam_rows = to_rows(unknowns, jump, len(grid.free))
         del jump
-        factor = factorise(assemble, seam_rows, row_scales, penalty)
+        factor = factorise(assemble, seam_rows, row_scales, penalty, lambda: _locate_unknowns(surface, grid))
         logger.debug("erase: %d unknowns at %d x %d", len(grid.free), width, height)
     return Eraser(surface, seams, options, region, grid, intervals, lengths, silhouette, factor, rows, scale)
+
+
+def _locate_unknowns(surface: TexturedSurface, grid: Grid) -> Floats:
+    """Where the unknowns lie on the surface, about: the position of the nearest texture vertex, (U, 3)."""
+    row, column = np.divmod(grid.nodes[grid.free], grid.size_px[0])
+    tree = cKDTree(uv_to_px(surface.uvs, *grid.size_px))
+    nearest = tree.query(np.stack([column, row], axis=1))[1]
+    return np.asarray(surface.positions[surface_vertices(surface)[nearest]], np.float64)
 
 
 def _assemble_grid(grid: Grid, weights: Weights, num_inside: int) -> sparse.csr_array:

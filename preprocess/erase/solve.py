@@ -21,10 +21,14 @@ from scipy import sparse
 
 from preprocess import cholesky
 from preprocess.cholesky import factor_symmetric
+from preprocess.dissection import order_by_dissection
 from preprocess.erase.strip import SeamStrip
 from preprocess.mesh import Floats
 
 MAX_REPEATS = 60
+
+# Systems of more unknowns are dissected where they lie and solved once: not within a range, nor with tighter limits.
+MANY_UNKNOWNS = 300_000
 
 # Bounds: weight of the pull towards the range (times the squared change), over-relaxation, when to stop.
 BOUND_WEIGHT = 50.0
@@ -64,9 +68,18 @@ class Factor:
     row_scales: Floats
     penalty: float
 
+    @property
+    def is_large(self) -> bool:
+        """Whether it takes so long that it is solved once."""
+        return self.jump.shape[1] > MANY_UNKNOWNS
+
 
 def factorise(
-    assemble: Callable[[], sparse.csr_array], jump: sparse.csr_array, row_scales: Floats, penalty: float
+    assemble: Callable[[], sparse.csr_array],
+    jump: sparse.csr_array,
+    row_scales: Floats,
+    penalty: float,
+    locate: Callable[[], Floats] | None = None,
 ) -> Factor:
     """Factor A + ρ JᵀJ once for all channels and repetitions.
 
@@ -80,8 +93,14 @@ def factorise(
         See `Factor`.
     penalty : float
         ρ.
+    locate : function, optional
+        Returns where the unknowns lie on the surface, (U, 3): asked of systems with many.
     """
-    return Factor(factor_symmetric(_by_columns(assemble())), assemble, jump, row_scales, penalty)
+    matrix = _by_columns(assemble())
+    order = None
+    if locate is not None and matrix.shape[0] > MANY_UNKNOWNS:
+        order = order_by_dissection(matrix, locate())
+    return Factor(factor_symmetric(matrix, order), assemble, jump, row_scales, penalty)
 
 
 def _by_columns(matrix: sparse.csr_array) -> sparse.csc_array:

@@ -25,7 +25,11 @@ from preprocess.texels import uv_to_px
 if TYPE_CHECKING:
     from preprocess.gltf import Character, Material, TextureRef
 
-MIN_SIZE_PX, MAX_SIZE_PX = 512, 4096  # of a resampled texture; borders between flat colours need some texels too
+Singles = NDArray[np.float32]
+
+MIN_SIZE_PX, MAX_SIZE_PX = 512, 4096  # of an automatic size; borders between flat colours need some texels too
+MOST_GROWTH = 4.0  # texels of a resampled texture, for each that the surface has in the source
+POINTS_AT_A_TIME = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,7 @@ def bake_materials(
     resampled: bool,
     size_px: int | None,
     cover: Callable[[int, int], Coverage],
+    notes: list[str] | None = None,
 ) -> list[BakedTexture]:
     """Base colour, and occlusion-roughness-metallic and emissive where the character has them.
 
@@ -73,6 +78,8 @@ def bake_materials(
         Side of the square textures; None: the source's texel density.
     cover : function (width, height) -> Coverage
         Rasterises the atlas.
+    notes : list of str, optional
+        Gets a line for each texture that is smaller than the source's texels would fill.
     """
     used = np.unique(mesh.face_materials)
     materials = character.materials
@@ -89,7 +96,14 @@ def bake_materials(
         if copied is not None:
             textures.append(BakedTexture(name, copied, "uint8", is_color, True))
             continue
-        side = size_px or resampled_size(mesh, [of(m) for m in materials], resampled)
+        side, wanted = size_px, size_px
+        if side is None:
+            side, wanted = resampled_size(mesh, [of(m) for m in materials], resampled)
+        if wanted is not None and side < wanted and notes is not None:
+            notes.append(
+                f"{name} is {side} x {side}: {wanted} x {wanted} would keep every texel of the source; "
+                f"--color-size {wanted} makes it so, at the cost of time and memory"
+            )
         textures.append(BakedTexture(name, _bake(mesh, materials, name, cover(side, side)), "uint8", is_color, False))
     return textures
 
@@ -120,6 +134,8 @@ def _copy(
         return None
     if name == "orm" and not _is_packed(material):
         return None
+    if max(ref.image.texels.shape[:2]) > MAX_SIZE_PX:
+        return None
     texels = ref.image.texels.astype(np.float64)
     if texels.shape[2] < 3:  # grey, with or without alpha
         texels = np.concatenate([texels[..., :1]] * 3 + [texels[..., 1:]], axis=2)
@@ -133,8 +149,12 @@ def _is_packed(material: Material) -> bool:
     return both and material.occlusion.image is material.metallic_roughness.image  # type: ignore[union-attr]
 
 
-def resampled_size(mesh: SkinnedMesh, refs: list[TextureRef | None], resampled: bool) -> int:
-    """Side of a square texture in which most of the surface keeps the source's texel density, a power of two."""
+def resampled_size(mesh: SkinnedMesh, refs: list[TextureRef | None], resampled: bool) -> tuple[int, int]:
+    """Side of a square texture, and that in which most of the surface keeps the source's texel density.
+
+    Both are powers of two. They differ where the atlas is mostly empty, as with thousands of charts, or beyond the
+    largest automatic size.
+    """
     surface = mesh.surface
     atlas_area = _areas(surface.uvs[surface.face_uvs])
     wanted = np.zeros(mesh.num_faces)
@@ -146,12 +166,19 @@ def resampled_size(mesh: SkinnedMesh, refs: list[TextureRef | None], resampled: 
         wanted[faces] = _areas(_transformed(mesh.corner_texcoords[faces][:, :, ref.texcoord], ref)) * width * height
     used = atlas_area > 0
     if not used.any() or not wanted.any():
-        return MIN_SIZE_PX * 2 if resampled else MIN_SIZE_PX
+        least = MIN_SIZE_PX * 2 if resampled else MIN_SIZE_PX
+        return least, least
     density = np.sqrt(wanted[used] / atlas_area[used])
     order = np.argsort(density)
     share = np.cumsum(atlas_area[used][order])
     side = float(density[order][np.searchsorted(share, 0.75 * share[-1])])
-    return int(np.clip(2 ** math.ceil(math.log2(max(side, 1.0)) - 0.25), MIN_SIZE_PX, MAX_SIZE_PX))
+    most = min(_power_of_two(math.sqrt(MOST_GROWTH * wanted.sum())), MAX_SIZE_PX)
+    full = _power_of_two(side)
+    return max(min(full, most), MIN_SIZE_PX), max(full, MIN_SIZE_PX)
+
+
+def _power_of_two(side: float) -> int:
+    return int(2 ** math.ceil(math.log2(max(side, 1.0)) - 0.25))
 
 
 def _areas(corners: Floats) -> Floats:
@@ -257,12 +284,19 @@ class _Lookup:
         surface = mesh.surface
         self.gradients = _barycentric_gradients(uv_to_px(surface.uvs, *size_px)[surface.face_uvs])
 
-    def raw(self, ref: TextureRef | None, rows: NDArray[np.integer], texels: Floats | None = None) -> Floats:
+    def raw(self, ref: TextureRef | None, rows: NDArray[np.integer], texels: Singles | None = None) -> Floats:
         """Stored values, (N, 4); ones where there is no texture."""
         values = np.ones((len(rows), 4))
         if ref is None or ref.texcoord >= self.mesh.corner_texcoords.shape[2]:
             return values
-        source = ref.image.texels if texels is None else texels
+        source = np.ascontiguousarray(ref.image.texels if texels is None else texels, np.float32)
+        for start in range(0, len(rows), POINTS_AT_A_TIME):
+            sampled = self._sample(ref, rows[start : start + POINTS_AT_A_TIME], source)
+            values[start : start + POINTS_AT_A_TIME, : sampled.shape[1]] = sampled
+        return values
+
+    def _sample(self, ref: TextureRef, rows: NDArray[np.integer], source: Singles) -> Floats:
+        """Stored values of a few points, (N, 3 or 4)."""
         faces = self.faces[rows]
         corners = _transformed(self.mesh.corner_texcoords[faces][:, :, ref.texcoord], ref)
         uvs = np.einsum("nk,nkc->nc", self.barycentrics[rows], corners)
@@ -270,18 +304,16 @@ class _Lookup:
         sampled = sample_footprints(source, uvs, steps[:, 0], steps[:, 1], ref.wrap_s, ref.wrap_t, ref.nearest)
         if sampled.shape[1] < 3:
             sampled = np.concatenate([sampled[:, :1]] * 3 + [sampled[:, 1:]], axis=1)
-        values[:, : sampled.shape[1]] = sampled
-        return values
+        return sampled
 
     def color(self, ref: TextureRef | None, rows: NDArray[np.integer]) -> Floats:
         """Colours in linear light, (N, 4)."""
         if ref is None:
             return np.ones((len(rows), 4))
-        texels = ref.image.texels.astype(np.float64)
-        if texels.shape[2] in (2, 4):
-            texels = np.concatenate([srgb_to_linear(texels[..., :-1]), texels[..., -1:]], axis=2)
-        else:
-            texels = srgb_to_linear(texels)
+        texels = ref.image.texels.astype(np.float32)
+        colors = texels.shape[2] - int(texels.shape[2] in (2, 4))
+        for row, stored in zip(texels, ref.image.texels, strict=True):
+            row[:, :colors] = srgb_to_linear(stored[:, :colors])
         return self.raw(ref, rows, texels)
 
 

@@ -22,9 +22,11 @@ from preprocess.erase import (
     LOCAL,
     EraseOptions,
     Eraser,
+    Level,
     erase_mips,
 )
 from preprocess.erase.faults import Decision, choose_color_seams, choose_normal_seams, draw_decision
+from preprocess.erase.mips import is_crowded, mip_sizes
 from preprocess.geometry.maps import store_positions, store_weights
 from preprocess.gltf import Character
 from preprocess.mesh import Floats, SkinnedMesh, TexturedSurface
@@ -115,6 +117,7 @@ class TextureStage:
         self.seams: Seams = find_seams(self.mesh.surface)
         self.made_here = self._find_made_seams()
         self.decisions: dict[str, Decision] = {}
+        self.notes: list[str] = []
         self.normal_size = self.settings.color_size_px or self._normal_size()
         size = (self.normal_size, self.normal_size)
         unwrapped = atlas.mode == "unwrap"
@@ -163,6 +166,7 @@ class TextureStage:
             longest_first = sorted(groups.values(), key=len, reverse=True)
             running = [pool.submit(self._store_all, group) for group in longest_first]
             seen = {texture.name: texture for group in running for texture in group.result()}
+            self.notes.sort()  # whichever thread was first
             return [*geometry.result(), *(seen[job.name] for job in jobs)]
         finally:
             pool.shutdown(wait=False, cancel_futures=True)  # an interrupt does not wait for a long factorisation
@@ -225,7 +229,8 @@ class TextureStage:
         if self.colors_moved:
             assert self.normal_uvs is not None
             mesh, cover = mesh.with_surface(bake_surface(mesh.surface, self.normal_uvs)), self.cover_moved
-        baked = bake_materials(self.character, mesh, self.atlas.resampled, self.settings.color_size_px, cover)
+        side = self.settings.color_size_px
+        baked = bake_materials(self.character, mesh, self.atlas.resampled, side, cover, self.notes)
         return [self._material(texture) for texture in baked]
 
     def _material(self, texture: BakedTexture) -> _Job:
@@ -273,6 +278,22 @@ class TextureStage:
         plans: dict[tuple[int, int], Eraser] | None = {} if len(jobs) > 1 else None
         return [self._store(job, plans) for job in jobs]
 
+    def _note(self, name: str, levels: Sequence[Level], size: tuple[int, int]) -> None:
+        """What was approximated because the seams are so many."""
+        large = [level for level in levels if level.is_large]
+        if large:
+            worst = 255 * max(level.stored.max.max(initial=0.0) for level in large)
+            self.notes.append(
+                f"{name}: so many seams that its {len(large)} finest levels were erased once, whatever rounding left: "
+                f"seams jump by {worst:.1f} of 255 at most"
+            )
+        sizes = mip_sizes(*size)
+        if len(levels) < len(sizes) and is_crowded(self.mesh.surface, self.seams, *sizes[len(levels)]):
+            last = sizes[len(levels) - 1]
+            self.notes.append(
+                f"{name}: mip levels end at {last[0]} x {last[1]}: below, charts are narrower than texels"
+            )
+
     def _store(self, job: _Job, plans: dict[tuple[int, int], Eraser] | None = None) -> StoredTexture:
         """Erase a texture and its mip levels, rounded so that what is stored is seamless."""
         steps, left = STEPS[job.format], job.decision.num_left
@@ -303,4 +324,5 @@ class TextureStage:
             seam["left"] = left
         texels = tuple(level.texels / float(steps) for level in levels)
         height, width = job.baked.shape[:2]
+        self._note(job.name, levels, (width, height))
         return StoredTexture(job.name, texels, job.format, (width, height), seam, job.extra)
