@@ -15,7 +15,7 @@ from preprocess.dissection import order_by_dissection
 from preprocess.erase import EraseOptions, erase_mips, plan_erasure
 from preprocess.erase.mips import is_crowded
 from preprocess.seams import find_seams
-from preprocess.textures import materials
+from preprocess.textures.sizes import resampled_size
 
 eraser = importlib.import_module("preprocess.erase.eraser")
 solve = importlib.import_module("preprocess.erase.solve")
@@ -105,7 +105,7 @@ def test_automatic_sizes_know_bounds() -> None:
         )
         image = SimpleNamespace(texels=np.empty((source, source, 0)))
         ref = SimpleNamespace(texcoord=0, image=image, transform=np.eye(3))
-        return materials.resampled_size(mesh, [ref], True)  # type: ignore[arg-type, list-item]
+        return resampled_size(mesh, [ref], True)  # type: ignore[arg-type, list-item]
 
     assert sizes(1.0, 1024) == (1024, 1024)
     assert sizes(0.5, 1024) == (2048, 2048)
