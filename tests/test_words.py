@@ -148,7 +148,8 @@ def test_the_kernel_does_what_the_formula_says() -> None:
 
 
 def test_words_are_for_small_characters() -> None:
-    """A fox of 1,300 vertices in all levels, and a man of 34,000."""
-    assert are_worth_it((92, 92), 1_300)
+    """A fox of 1,400 vertices in all levels; a man of 34,000 and a robot of 6,500 keep their 16 bits."""
+    assert are_worth_it((92, 92), 1_400)
+    assert not are_worth_it((192, 192), 6_466)
     assert not are_worth_it((272, 272), 34_000)
     assert not are_worth_it((192, 192), 11_000)

@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 
 CLASSIC_VERTEX_BYTES = 68  # position, normal, tangent, uv, joints and weights, as glTF has them
 CHANNELS_BYTES = 8  # of a texel in 16 bits a channel
-WORTH_REL = 0.6  # share of the classic vertices' bytes from which on such texels are too heavy
+WORTH_REL = 0.7  # share of the classic vertices' bytes from which on such texels are too heavy
 JUMP_WEIGHT = 1.0
 STAY = 1e-3  # of a median texel's own weight, for every squared step away from what is wanted
 REACH = 1.5  # steps that a texel may be from what is wanted
