@@ -284,7 +284,7 @@ class TextureStage:
         if large:
             worst = 255 * max(level.stored.max.max(initial=0.0) for level in large)
             self.notes.append(
-                f"{name}: so many seams that its {len(large)} finest levels were erased once, whatever rounding left: "
+                f"{name}: so many seams that large levels ({len(large)}) were erased once, whatever rounding left: "
                 f"seams jump by {worst:.1f} of 255 at most"
             )
         sizes = mip_sizes(*size)
