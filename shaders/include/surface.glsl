@@ -50,7 +50,7 @@ struct Surface {
     bool unlit;
 };
 
-// sRGB's curves without powers: fits over [0, 1] that are off by 0.05 and 0.2 of an 8-bit step at most.
+// sRGB's curves without powers: fits over [0, 1] that are off by 0.05 and 0.1 of an 8-bit step at most.
 vec3 decode_srgb(vec3 encoded) {
     vec3 low = encoded * (1.0 / 12.92);
     vec3 high = (((encoded * -0.11678043 + 0.52647363) * encoded + 0.56040372) * encoded + 0.02839627) * encoded
@@ -61,7 +61,8 @@ vec3 decode_srgb(vec3 encoded) {
 vec3 encode_srgb(vec3 linear_color) {
     vec3 low = linear_color * 12.92;
     vec3 root = sqrt(max(linear_color, 0.0));
-    vec3 high = (((root * -0.30665522 + 0.84319950) * root - 0.95030511) * root + 1.45083058) * root - 0.03734607;
+    vec3 high = ((((root * 0.51730323 - 1.62365937) * root + 2.03157544) * root - 1.40273690) * root + 1.51795101) * root
+        - 0.04010961;
     return mix(low, high, greaterThan(linear_color, vec3(0.0031308)));
 }
 
