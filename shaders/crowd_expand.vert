@@ -1,7 +1,7 @@
 // Vertices of a level read from the textures once, by transform feedback: position at rest, and one record of joints
 // and weights. The very functions that static.vert uses, so that nothing differs.
 #include "include/skinning.glsl"
-#include "include/owner.glsl"
+#include "include/vertex_uvs.glsl"
 
 uniform int record_number;   // which record of a cell, 0 for the first
 

@@ -5,8 +5,7 @@
 #include "include/frame.glsl"
 #include "include/instance.glsl"
 #include "include/skinning.glsl"
-#include "include/own.glsl"
-#include "include/owner.glsl"
+#include "include/vertex_uvs.glsl"
 
 
 out vec2 surface_uv;

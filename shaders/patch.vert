@@ -1,7 +1,6 @@
 // A control point of a patch: nothing is computed yet, only passed on.
 #include "include/instance.glsl"
-#include "include/own.glsl"
-#include "include/owner.glsl"
+#include "include/vertex_uvs.glsl"
 
 #ifdef NORMAL_UV
 in uvec2 in_normal_uv;  // 65535ths
@@ -22,7 +21,7 @@ void main() {
     point_uv = own_uv();
     point_owner_uv = owner_uv();
 #ifdef NORMAL_UV
-    point_normal_uv = vec2(in_normal_uv) / 65535.0;
+    point_normal_uv = uv_of_steps(in_normal_uv);
 #endif
     point_world_row0 = in_world_row0;
     point_world_row1 = in_world_row1;

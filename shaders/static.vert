@@ -6,8 +6,7 @@
 #include "include/instance.glsl"
 #include "include/skinning.glsl"
 #include "include/point_out.glsl"
-#include "include/own.glsl"
-#include "include/owner.glsl"
+#include "include/vertex_uvs.glsl"
 
 #ifdef NORMAL_UV
 in uvec2 in_normal_uv;  // 65535ths
@@ -21,6 +20,6 @@ void main() {
 #endif
     emit_point(own_uv(), geometry_uv, mat3x4(in_world_row0, in_world_row1, in_world_row2), in_tint, in_numbers);
 #ifdef NORMAL_UV
-    surface_normal_uv = vec2(in_normal_uv) / 65535.0;
+    surface_normal_uv = uv_of_steps(in_normal_uv);
 #endif
 }
