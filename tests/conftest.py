@@ -16,6 +16,7 @@ import pytest
 from builders_asset import build_ball
 from builders_scene import Scene
 
+import runtime
 from runtime.asset import Asset, load
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -113,5 +114,19 @@ def ball(tmp_path_factory: pytest.TempPathFactory) -> Asset:
 def scene(ctx: moderngl.Context, ball: Asset) -> Iterator[Scene]:
     """The body in a scene."""
     made = Scene(ctx, ball)
+    yield made
+    made.release()
+
+
+@pytest.fixture
+def actor(scene: Scene) -> runtime.Actor:
+    """Somebody who moves, alone in the scene."""
+    return scene.model.actor(clip="bend")
+
+
+@pytest.fixture
+def crowd(scene: Scene) -> Iterator[runtime.Crowd]:
+    """Five in the scene."""
+    made = runtime.Crowd(scene.ctx, scene.model, 5)
     yield made
     made.release()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import time
 from types import SimpleNamespace
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from builders_animation import random_clip, random_skeleton
+from builders_mixer import angle_about_x, make_walker, model_of, straight_skeleton, turn_clip
 
 from runtime.actor import Actor
 from runtime.actor_batch import gather
@@ -19,41 +19,9 @@ from runtime.pose import global_transforms, rest_pose, sample, skinning_rows
 from runtime.skeleton import Skeleton
 
 
-def straight_skeleton(num_nodes: int = 3) -> Skeleton:
-    """A chain along +Y, one metre a link, nothing turned."""
-    skeleton = random_skeleton(num_nodes, 0)
-    skeleton.parents[:] = np.arange(num_nodes) - 1
-    skeleton.translation[:] = [0, 1, 0]
-    skeleton.rotation[:], skeleton.scale[:] = [0, 0, 0, 1], 1
-    skeleton.inverse_bind[:] = np.eye(4)
-    skeleton.__dict__.pop("levels", None)
-    return skeleton
-
-
-def turn_clip(name: str, node: int, angle: float, duration_s: float = 1.0) -> Clip:
-    """A node turns about +X at constant speed."""
-    quaternions = np.array([[0, 0, 0, 1], [np.sin(angle / 2), 0, 0, np.cos(angle / 2)]])
-    return Clip(name, duration_s, (Track(node, "rotation", "LINEAR", np.array([0, duration_s]), quaternions),))
-
-
-def angle_about_x(quaternion: np.ndarray) -> float:
-    return float(2 * np.arctan2(quaternion[0], quaternion[3]))
-
-
-def model_of(skeleton: Skeleton, clips: list[Clip]) -> Any:
-    boxes = [np.array([[-1.0] * 3, [1.0] * 3])] * skeleton.num_joints
-    manifest = SimpleNamespace(joint_bounds=tuple(boxes), bind_bounds=boxes[0])
-    return SimpleNamespace(mixer=Mixer(skeleton, clips), asset=SimpleNamespace(manifest=manifest))
-
-
 @pytest.fixture
 def walker() -> Any:
-    """A model whose clips turn nodes, and one that walks: the root moves 2 m along +X and bobs."""
-    skeleton = straight_skeleton()
-    times = np.array([0.0, 0.5, 1.0])
-    way = Track(0, "translation", "LINEAR", times, np.array([[0, 1, 0], [1, 1.2, 0], [2, 1, 0.0]]))
-    clips = [turn_clip("bend", 1, 0.8), turn_clip("nod", 2, 0.6), Clip("walk", 1.0, (way,)), turn_clip("bow", 1, 0.4)]
-    return model_of(skeleton, clips)
+    return make_walker()
 
 
 def test_updates_pile_up_to_the_same_pose_as_one_seek(walker: Any) -> None:
@@ -399,19 +367,6 @@ def test_the_rest_pose_without_a_clip(walker: Any) -> None:
     np.testing.assert_allclose(Actor(walker).joint_rows, skinning_rows(skeleton, rest_pose(skeleton))[0], atol=1e-6)
 
 
-def test_thousands_come_and_go_without_growth(walker: Any) -> None:
-    for _ in range(3000):
-        actor = Actor(walker, "bend")
-        actor.update(0.1)
-        actor.release()
-    assert walker.mixer._capacity == 8
-    many = [Actor(walker, "bend") for _ in range(100)]
-    assert walker.mixer.num_rows == 100
-    for actor in many:
-        actor.release()
-    assert walker.mixer.num_rows == 0
-
-
 def test_updating_and_posing_a_thousand_actors_is_fast() -> None:
     skeleton = random_skeleton(53, 1)
     clips = [random_clip(skeleton, number, ("LINEAR",)) for number in range(3)]
@@ -425,62 +380,3 @@ def test_updating_and_posing_a_thousand_actors_is_fast() -> None:
         model.mixer.joint_rows([actor.row for actor in actors])
         spent.append(time.process_time() - start)
     assert min(spent) < 0.05, f"{min(spent) * 1e3:.1f} ms"
-
-
-def test_a_clip_played_once_tells_its_end(walker: Any) -> None:
-    actor = Actor(walker, 0, loop=False)
-    told: list[str] = []
-    length = walker.mixer.clips[0].duration_s
-    assert not actor.finished
-    actor.play(0, loop=False, on_end=lambda: told.append("first"))
-    actor.update(0.5 * length)
-    assert not actor.finished and not told
-    actor.update(0.6 * length)
-    assert actor.finished and told == ["first"]
-    actor.update(length)
-    assert told == ["first"]  # once
-    actor.play(0, loop=False, speed=-2.0, time_s=length, on_end=lambda: actor.play(1, fade_s=0.1))
-    actor.update(0.4 * length)
-    assert actor.clip == walker.mixer.clips[0].name
-    actor.update(0.2 * length)
-    assert actor.clip == walker.mixer.clips[1].name and not actor.finished  # it loops
-    actor.update(10 * length)
-    assert not actor.finished
-    actor.play(0, loop=False, on_end=lambda: told.append("never"))
-    actor.play(1)
-    actor.update(10 * length)
-    actor.play(0, loop=False, on_end=lambda: told.append("never"))
-    actor.stop(0)
-    actor.update(10 * length)
-    assert told == ["first"] and not actor.finished
-    actor.play(0, loop=False, on_end=lambda: actor.release())  # to go with the last frame
-    actor.update(2 * length)
-    assert actor.released
-    other = Actor(walker)
-    assert not other.finished
-    with pytest.raises(ValueError, match="a clip that loops has no end"):
-        other.play(0, on_end=print)
-    with pytest.raises(ValueError, match="on_end needs"):
-        other.play(0, loop=False, on_end="idle")  # type: ignore[arg-type]
-
-
-def test_layers_tell_their_ends_each(walker: Any) -> None:
-    told: list[str] = []
-    walker.mixer.add_layer("upper")
-    actor = Actor(walker, 0)
-    for layer in ("base", "upper"):
-        actor.play(0, loop=False, layer=layer, on_end=lambda layer=layer: told.append(layer))  # type: ignore[misc]
-    actor.stop("upper")
-    actor.update(100.0)
-    assert told == ["base"]
-
-
-def test_an_actor_that_nobody_holds_leaves(walker: Any) -> None:
-    kept = Actor(walker, 0)
-    for _ in range(3):
-        crowd = [Actor(walker, 0) for _ in range(20)]
-        assert walker.mixer.num_rows == 21
-        del crowd
-        gc.collect()
-        assert walker.mixer.num_rows == 1
-    assert not kept.released

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import pickle
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import moderngl
@@ -16,18 +16,6 @@ from test_misuse import refused
 import runtime
 from runtime.contexts import current_context, require_current
 from runtime.errors import RenderError
-
-
-@pytest.fixture
-def actor(scene: Scene) -> runtime.Actor:
-    return scene.model.actor(clip="bend")
-
-
-@pytest.fixture
-def crowd(scene: Scene) -> Iterator[runtime.Crowd]:
-    made = runtime.Crowd(scene.ctx, scene.model, 5)
-    yield made
-    made.release()
 
 
 def test_actors_and_crowds_are_not_copied(actor: runtime.Actor, crowd: runtime.Crowd) -> None:

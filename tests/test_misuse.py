@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,18 +16,6 @@ from runtime import given
 from runtime.errors import AssetError, RenderError
 
 NAN, INF = float("nan"), float("inf")
-
-
-@pytest.fixture
-def actor(scene: Scene) -> runtime.Actor:
-    return scene.model.actor(clip="bend")
-
-
-@pytest.fixture
-def crowd(scene: Scene) -> Iterator[runtime.Crowd]:
-    made = runtime.Crowd(scene.ctx, scene.model, 5)
-    yield made
-    made.release()
 
 
 def refused(work: Callable[[], Any], message: str, kind: type[Exception] = ValueError) -> None:
