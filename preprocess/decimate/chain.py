@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from preprocess.decimate import rules
 from preprocess.decimate.engine import Engine, make_engine
+from preprocess.decimate.evening import TRIES, Try, make_even_level, make_level
 from preprocess.decimate.floor import count_floor
 from preprocess.decimate.lod import PEAK_WEIGHT, Chain, DecimateOptions, Lod, Strictness
-from preprocess.decimate.measure import Reference, make_reference, measure
+from preprocess.decimate.measure import Distances, Reference, make_reference, measure
 from preprocess.decimate.topology import build_half_edges, source_uvs
 from preprocess.errors import InputError
 from preprocess.mesh import TexturedSurface
@@ -165,8 +166,12 @@ def decimate_within(
 
 
 def _measured(reference: Reference, lod: Lod, at_least_m: float) -> Lod:
-    """A level with its distances filled in; its error is no less than a finer level's, so selection is monotone."""
-    distances = measure(reference, lod)
+    """A level with its distances filled in; see `_with_distances`."""
+    return _with_distances(lod, measure(reference, lod), at_least_m)
+
+
+def _with_distances(lod: Lod, distances: Distances, at_least_m: float) -> Lod:
+    """A level that says how far off it is; its error is no less than a finer level's, so selection is monotone."""
     return replace(
         lod,
         error_m=max(distances.largest_m, at_least_m),
@@ -175,12 +180,18 @@ def _measured(reference: Reference, lod: Lod, at_least_m: float) -> Lod:
     )
 
 
-def _polished_if_nearer(engine: Engine, reference: Reference) -> Engine:
-    """The state polished, if its largest error is lower then."""
-    copy = engine.copy()
-    copy.polish()
-    before, after = (measure(reference, state.snapshot()).largest_m for state in (engine, copy))
-    return copy if after < before else engine
+def _next_level(engine: Engine, reference: Reference, target: int, near_floor: float) -> Try:
+    """Go on to a level: polished where witnesses can tell what is nearer, evened out where it has few faces."""
+    watched = len(engine.mesh.points) > 0
+    if watched and target <= POLISH_BELOW_REL * len(reference.surface.faces):
+        return make_even_level(engine, reference, target, TRIES if near_floor < target <= FEW_FACES else 1)
+    engine.run_to(target)
+    if not watched or DENSE_WITNESSES * engine.num_faces > len(engine.mesh.points):
+        return Try(engine, engine.snapshot())
+    polished = make_level(engine.copy(), reference, target)
+    lod = engine.snapshot()
+    rough = Try(engine, lod, measure(reference, lod))
+    return min(rough, polished, key=lambda level: level.largest_m)
 
 
 @dataclass(frozen=True)
@@ -302,17 +313,13 @@ def decimate(
     floor, blocked = -1, {}
     for position, target in enumerate(targets):
         before = engine.copy() if lods and target < near_floor else None
-        engine.run_to(target)
-        if engine.num_faces <= POLISH_BELOW_REL * len(surface.faces):
-            engine.polish()
-            engine.run_to(target)  # where it was stuck, turned edges may have made room
-        elif DENSE_WITNESSES * engine.num_faces <= len(engine.mesh.points):
-            engine = _polished_if_nearer(engine, reference)
+        level = _next_level(engine, reference, target, near_floor)
+        engine = level.engine
         last_error = lods[-1].error_m if lods else 0.0
         if not lods and not engine.mesh.counter[rules.COLLAPSES] and engine.shows_surface:
-            lods.append(replace(engine.snapshot(), error_m=0.0, mean_error_m=0.0, normal_error_rad=0.0))
+            lods.append(replace(level.lod, error_m=0.0, mean_error_m=0.0, normal_error_rad=0.0))
         elif not lods or options.ratios is not None or engine.num_faces <= (1 - MIN_SAVING_REL) * lods[-1].num_faces:
-            lods.append(_measured(reference, engine.snapshot(), last_error))
+            lods.append(_with_distances(level.lod, level.distances or measure(reference, level.lod), last_error))
         if engine.num_faces > target:
             floor, blocked = engine.num_faces, engine.blocked()
             if before is not None:
@@ -325,9 +332,9 @@ def decimate(
     if options.ratios is None:
         lods, relaxed = _useful(lods, relaxed)
     warnings = list(engine.repairs.warnings())
-    for level, lod in enumerate(relaxed, len(lods)):
+    for number, lod in enumerate(relaxed, len(lods)):
         if not lod.exact:
-            text = f"level {level} ({lod.num_faces} faces) has seams relaxed by up to {lod.uv_bound_px:.1f} texels"
+            text = f"level {number} ({lod.num_faces} faces) has seams relaxed by up to {lod.uv_bound_px:.1f} texels"
             warnings.append(text + (f" and leaves out {lod.dropped_parts} small parts" if lod.dropped_parts else ""))
     lods += relaxed
     log.info("decimate: %d -> %s faces", len(surface.faces), ", ".join(str(lod.num_faces) for lod in lods))

@@ -14,7 +14,7 @@ from preprocess.decimate.jit import helper
 from preprocess.decimate.placement import pose_position
 from preprocess.decimate.rules import APEX_ROW, CHART, FIRST_WITNESS, FOLLOWING, GATHERED, ITS_CHART, WEIGHTS_ROW
 from preprocess.decimate.topology import TAIL, TWIN, WEDGE, next_of, previous_of
-from preprocess.decimate.witnesses import FIRST_POSE, POSE_STRIDE, SLIP_COLUMN
+from preprocess.decimate.witnesses import FIRST_POSE, POSE_STRIDE, SLIP_COLUMN, WEIGHT_COLUMN
 
 # Columns of a row of the fan: the face, its chart, uv of its first corner, the two sides there, one over their
 # determinant, then the three corners in each pose. The first corner is the one that moves.
@@ -120,7 +120,8 @@ def find_face(m, k, chart, num_rows, guess):
 
 @helper
 def square_departure(m, k, found):
-    """Largest square over the poses of witness k's distance from the point of a row that `find_face` has found."""
+    """Largest square over the poses of witness k's distance from the point of a row that `find_face` has found, times
+    its weight."""
     row, point, weights = m.fan[found], m.points[k], m.work[WEIGHTS_ROW]
     largest = 0.0
     for q in range(num_poses(m)):
@@ -131,7 +132,7 @@ def square_departure(m, k, found):
             along += away * point[p + 3 + i]
             square += away * away
         largest = max(largest, along * along + point[SLIP_COLUMN] * (square - along * along))
-    return largest
+    return largest * point[WEIGHT_COLUMN]
 
 
 @helper

@@ -21,7 +21,14 @@ from preprocess.decimate.rules import Mesh
 from preprocess.decimate.skinning import Skinning, make_skinning
 from preprocess.decimate.topology import TAIL, TWIN, WEDGE, HalfEdges, build_half_edges
 from preprocess.decimate.vertex_cache import reorder
-from preprocess.decimate.witnesses import Witnesses, choose_poses, make_witnesses, no_witnesses
+from preprocess.decimate.witnesses import (
+    FIRST_POSE,
+    WEIGHT_COLUMN,
+    Witnesses,
+    choose_poses,
+    make_witnesses,
+    no_witnesses,
+)
 from preprocess.mesh import Floats, TexturedSurface
 from preprocess.texels import sample_bilinear
 
@@ -151,6 +158,14 @@ class Engine:
             self._pose_again()
             polish(self.mesh, POLISH_SWEEPS, np.zeros(3, np.int64))
         self._forget_prices()
+
+    def weigh_witnesses(self, weights: Floats) -> None:
+        """Let the squared departure of each witness count so much from now on, (S,); before, all count 1."""
+        self.mesh.points[:, WEIGHT_COLUMN] = weights
+
+    def witness_places(self) -> Floats:
+        """Where the witnesses are in bind pose, metres, (S, 3)."""
+        return self.mesh.points[:, FIRST_POSE : FIRST_POSE + 3] * self.scale_m + self.centre_m
 
     def _pose_again(self) -> None:
         """Put every vertex where its own weights put it in each pose: collapses and steps know that only nearly."""

@@ -66,8 +66,8 @@ def _posed(positions: Floats, matrices: Floats) -> Floats:
     return np.concatenate([positions[None], moved])
 
 
-def _normals(positions: Floats, faces: Ints) -> Floats:
-    """Unit normals of faces, (F, 3); zero where degenerate."""
+def _normals(positions: Floats, faces: NDArray[np.integer]) -> Floats:
+    """Unit normals of faces, (N, 3); zero where degenerate."""
     corners = positions[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -115,11 +115,25 @@ def make_reference(
 
 @dataclass(frozen=True)
 class Distances:
-    """Largest and mean two-sided distance, metres, and the mean angle between normals, radians."""
+    """Two-sided distances of a level from the full mesh.
+
+    Attributes
+    ----------
+    largest_m, mean_m : float
+        Over all samples and poses, metres.
+    normal_rad : float
+        Mean angle between normals, radians.
+    places : (N, 3) float64
+        Where the samples are on the full mesh in bind pose, or what of it is nearest to those of the level.
+    each_m : (N,) float64
+        The largest distance there over the poses.
+    """
 
     largest_m: float
     mean_m: float
     normal_rad: float
+    places: Floats
+    each_m: Floats
 
 
 def measure(reference: Reference, lod: Lod, matrices: Floats | None = None) -> Distances:
@@ -135,19 +149,25 @@ def measure(reference: Reference, lod: Lod, matrices: Floats | None = None) -> D
     num_samples = reference.num_samples
     posed = _posed(lod.positions, reference.skinning.at(lod.uvs[lod.owner_uvs]) if matrices is None else matrices)
     samples = sample_mesh(lod.positions, lod.faces, num_samples)
-    largest, means, angles = 0.0, [], []
-    full = reference.surface
+    full, on_full = reference.surface, reference.samples
+    means, angles = [], []
+    places, to_worst = np.zeros((len(samples.faces), 3)), np.full(len(samples.faces), -1.0)
+    from_worst = np.zeros(len(on_full.faces))
     for full_positions, tree, positions in zip(reference.posed, reference.trees, posed, strict=True):
-        full_normals, normals = _normals(full_positions, full.faces), _normals(positions, lod.faces)
-        to_full, full_face, _ = tree.query(samples.points(positions, lod.faces))
-        from_full, face, _ = build_tree(positions[lod.faces]).query(
-            reference.samples.points(full_positions, full.faces)
-        )
-        largest = max(largest, float(to_full.max()), float(from_full.max()))
+        to_full, full_face, weights = tree.query(samples.points(positions, lod.faces))
+        from_full, face, _ = build_tree(positions[lod.faces]).query(on_full.points(full_positions, full.faces))
+        farther = to_full > to_worst
+        nearest = Samples(full_face[farther], weights[farther])
+        places[farther], to_worst[farther] = nearest.points(full.positions, full.faces), to_full[farther]
+        from_worst = np.maximum(from_worst, from_full)
         means += [to_full[:num_samples].mean(), from_full[:num_samples].mean()]
+        normals = _normals(positions, lod.faces)
+        area = slice(num_samples)  # samples over the area come first
         cosines = np.r_[
-            np.einsum("ni,ni->n", normals[samples.faces], full_normals[full_face])[:num_samples],
-            np.einsum("ni,ni->n", full_normals[reference.samples.faces], normals[face])[:num_samples],
+            np.einsum("ni,ni->n", normals[samples.faces[area]], _normals(full_positions, full.faces[full_face[area]])),
+            np.einsum("ni,ni->n", _normals(full_positions, full.faces[on_full.faces[area]]), normals[face[area]]),
         ]
         angles.append(np.arccos(np.clip(cosines, -1.0, 1.0)).mean())
-    return Distances(largest, float(np.mean(means)), float(np.mean(angles)))
+    each_m = np.r_[to_worst, from_worst]
+    places = np.r_[places, on_full.points(full.positions, full.faces)]
+    return Distances(float(each_m.max()), float(np.mean(means)), float(np.mean(angles)), places, each_m)

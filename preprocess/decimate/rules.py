@@ -89,7 +89,7 @@ class Mesh(NamedTuple):
         See the slots below.
     heap_cost : (3 F',) float64, heap_item : (3 F',) int64
         See heap.py.
-    points : (S, 3 + 6 Q) float64
+    points : (S, 4 + 6 Q) float64
         See witnesses.py. Pose q > 0 of the witnesses is pose q - 1 of `pose`.
     witnesses : (S, 3) int64
         The one FOLLOWING over the same face (-1 for none); scratch: a list of those GATHERED, ITS_CHART of each.

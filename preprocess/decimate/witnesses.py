@@ -30,8 +30,8 @@ SMOOTH_BEND = 0.02
 # A mesh with fewer vertices has witnesses on its edges, too.
 FEW_VERTICES = 5000
 
-# Columns of a witness: uv, slip, then position and normal in each pose.
-SLIP_COLUMN, FIRST_POSE, POSE_STRIDE = 2, 3, 6
+# Columns of a witness: uv, slip, how much its squared departure counts, then position and normal in each pose.
+SLIP_COLUMN, WEIGHT_COLUMN, FIRST_POSE, POSE_STRIDE = 2, 3, 4, 6
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class Witnesses:
 
     Attributes
     ----------
-    points : (S, 3 + 6 Q) float64
-        uv, slip, and position and unit normal in each pose.
+    points : (S, 4 + 6 Q) float64
+        uv, slip, weight, and position and unit normal in each pose.
     following : (S,) int64
         The next witness over the same face, -1 for none.
     faces : (F, 2) int64
@@ -157,9 +157,9 @@ def _slips(half_edges: HalfEdges, crosses: Floats, sums: Floats) -> Floats:
 
 
 def _rows(uvs: Floats, slips: Floats, points: Floats, normals: Floats) -> Floats:
-    """Witnesses (N, 3 + 6 Q) from (N, 2), (N,), (Q, N, 3) and (Q, N, 3)."""
+    """Witnesses (N, 4 + 6 Q), all of weight 1, from (N, 2), (N,), (Q, N, 3) and (Q, N, 3)."""
     poses = np.concatenate([points, normals], axis=2).transpose(1, 0, 2).reshape(len(uvs), -1)
-    return np.concatenate([uvs, slips[:, None], poses], axis=1)
+    return np.concatenate([uvs, slips[:, None], np.ones((len(uvs), 1)), poses], axis=1)
 
 
 def _charts(corner_wedges: NDArray[np.int64], num_wedges: int) -> NDArray[np.int64]:
