@@ -81,7 +81,8 @@ def test_distances_say_where() -> None:
     """Samples of a flat square lifted by a tenth lie a tenth away, everywhere, both ways."""
     surface = square(6)
     lod = make_engine(surface, OPTIONS).snapshot()
-    distances = measure(make_reference(surface), replace(lod, positions=lod.positions + (0.0, 0.0, 0.1)))
+    lifted = replace(lod, positions=lod.positions + np.array([0.0, 0.0, 0.1]))
+    distances = measure(make_reference(surface), lifted)
     np.testing.assert_allclose(distances.each_m, 0.1, atol=1e-12)
     assert np.abs(distances.places[:, 2]).max() < 1e-12 and distances.places[:, :2].min() >= 0.0
     assert np.ptp(distances.places[:, :2], axis=0).min() > 0.99
