@@ -33,12 +33,17 @@ FINER = 4  # they are drawn so many times larger, so that thin parts do not come
 Turns = Callable[[Mapping[str, Callable[[], None]]], dict[str, tuple[float, float]]]
 
 
-def camera_at(model: Model, height_px: int, direction: NDArray[np.float64]) -> Camera:
-    """A camera that sees the character 200 pixels tall in a picture of this height."""
-    low, high = model.asset.manifest.bind_bounds
-    distance = (high[1] - low[1]) * height_px / (2 * np.tan(np.radians(FOVY_DEG) / 2) * TALL_PX)
-    eye = (low + high) / 2 + direction / np.linalg.norm(direction) * distance
-    return Camera(tuple(eye), tuple((low + high) / 2), fovy_deg=FOVY_DEG)
+def tall_m(model: Model) -> float:
+    """How tall a model stands at rest, metres."""
+    return float(np.ptp(model.asset.manifest.bind_bounds, axis=0)[1])
+
+
+def camera_at(model: Model, actor: Actor, height_px: int, direction: NDArray[np.float64]) -> Camera:
+    """A camera that looks at an actor's pose from where it is 200 pixels tall, at rest, in a picture of this height."""
+    target = actor.bounds.mean(axis=0).astype(np.float64)
+    distance = tall_m(model) * height_px / (2 * np.tan(np.radians(FOVY_DEG) / 2) * TALL_PX)
+    eye = target + direction / np.linalg.norm(direction) * distance
+    return Camera(tuple(eye), tuple(target), fovy_deg=FOVY_DEG)
 
 
 def shift_px(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
@@ -63,7 +68,7 @@ def measure_silhouettes(model: Model, renderer: Renderer, levels: set[int]) -> d
         clip = model.asset.clips[view % len(model.asset.clips)]
         actor.play(clip.name, time_s=clip.duration_s * ((view * 0.618) % 1.0))
         direction = np.array([np.sin(2.4 * view), 0.5 * np.sin(1.7 * view), np.cos(2.4 * view)])
-        camera = camera_at(model, WINDOW_PX, direction)
+        camera = camera_at(model, actor, WINDOW_PX, direction)
         full = mask(0, camera)
         for level in levels:
             worst[level] = max(worst[level], shift_px(mask(level, camera), full) / FINER)
@@ -72,20 +77,21 @@ def measure_silhouettes(model: Model, renderer: Renderer, levels: set[int]) -> d
 
 
 def actors_in_a_grid(model: Model, camera: Camera, size_px: tuple[int, int]) -> list[Actor]:
-    """Actors in different moments of a clip, standing around the camera's target as far apart as the picture allows."""
+    """Actors in different moments of a clip, around the camera's target as far apart as the picture allows."""
     clip = model.asset.clips[min(1, len(model.asset.clips) - 1)]
     columns, rows = GRID
     rotation = camera.matrices(*size_px).rotation
-    low, high = model.asset.manifest.bind_bounds
-    metres_a_px = (high[1] - low[1]) / TALL_PX
+    metres_a_px = tall_m(model) / TALL_PX
     actors = []
     for number in range(columns * rows):
         column, row = number % columns, number // columns
         aside_px = ((column + 0.5) / columns - 0.5) * size_px[0], ((row + 0.5) / rows - 0.5) * size_px[1]
+        aside_m = (rotation[0] * aside_px[0] + rotation[1] * aside_px[1]) * metres_a_px
+        other = model.actor(clip=clip.name, time_s=clip.duration_s * ((number * 0.618) % 1.0))
         transform = np.eye(4)
-        transform[:3, 3] = (rotation[0] * aside_px[0] + rotation[1] * aside_px[1]) * metres_a_px
-        time_s = clip.duration_s * ((number * 0.618) % 1.0)
-        actors.append(model.actor(clip=clip.name, time_s=time_s, transform=transform))
+        transform[:3, 3] = camera.target + aside_m - other.bounds.mean(axis=0)
+        other.transform = transform
+        actors.append(other)
     return actors
 
 
@@ -127,8 +133,8 @@ def measure_tall(model: Model, actor: Actor, take_turns: Turns, draws: int) -> l
     towards = np.asarray(near.eye) - near.target
     alone, many = Canvas(ctx, (WINDOW_PX, WINDOW_PX), smooth=False), Canvas(ctx, GRID_SIZE, smooth=False)
     renderers = {"full detail": Renderer(ctx), "1 px": Renderer(ctx), "2 px": Renderer(ctx, quality=Quality(2.0))}
-    camera = camera_at(model, WINDOW_PX, towards)
-    wide = camera_at(model, GRID_SIZE[1], towards)
+    camera = camera_at(model, actor, WINDOW_PX, towards)
+    wide = camera_at(model, actor, GRID_SIZE[1], towards)
     count = GRID[0] * GRID[1]
     stages = [
         (Stage(f"one, {WINDOW_PX} x {WINDOW_PX}", alone, camera, [actor]), ("lit", "mask")),
