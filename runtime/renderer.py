@@ -256,7 +256,10 @@ class Renderer(NotCopied):
     @staticmethod
     def _listed(actors: Any) -> tuple[Any, ...]:
         """What is to be drawn, one by one."""
-        things = (actors,) if hasattr(actors, "visible") or not isinstance(actors, Iterable) else tuple(actors)
+        if isinstance(actors, list | tuple):
+            things = tuple(actors)
+        else:
+            things = (actors,) if hasattr(actors, "visible") or not isinstance(actors, Iterable) else tuple(actors)
         for thing in things:
             if not hasattr(thing, "visible"):
                 raise RenderError(f"only actors and crowds can be drawn, not {shown(thing)}")
