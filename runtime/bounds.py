@@ -96,19 +96,20 @@ class JointBoxes:
         self.used = np.flatnonzero(np.isfinite(boxes).all(axis=(1, 2)))
         # Where a joint's 3 x 4 words lie in a pose. Joints come last in all that follows: inner loops are long then.
         self._words = np.arange(12).reshape(3, 4, 1) + 12 * self.used
-        centres = np.ones((4, len(self.used)))  # with a one, for the translation
-        centres[:3] = boxes[self.used].mean(axis=1).T
-        halves = np.ptp(boxes[self.used], axis=1).T / 2
-        self._exact = centres, halves
-        self._single = centres.astype(np.float32), halves.astype(np.float32)
+        factors = np.zeros((2, 1, 4, len(self.used)))  # of middles, with a one for the translation, and of reaches
+        factors[0, 0, :3] = boxes[self.used].mean(axis=1).T
+        factors[0, 0, 3] = 1.0
+        factors[1, 0, :3] = np.ptp(boxes[self.used], axis=1).T / 2
+        self._exact, self._single = factors, factors.astype(np.float32)
 
     def carried(self, matrices: Floats) -> Floats:
         """Boxes of the joints that move something, carried by (A, J, 3, 4) matrices: middle and reach, (A, 2, 3, P)."""
         words = matrices.reshape(len(matrices), -1).take(self._words, axis=1)
-        centres, halves = self._single if matrices.dtype == np.float32 else self._exact
-        parts = np.empty((len(matrices), 2, 3, len(self.used)), matrices.dtype)
-        np.einsum("arcj,cj->arj", words, centres, out=parts[:, 0])
-        np.einsum("arcj,cj->arj", np.abs(words[:, :, :3]), halves, out=parts[:, 1])
+        terms = np.empty((len(words), 2, *self._words.shape), words.dtype)
+        terms[:, 0] = words
+        np.abs(words, out=terms[:, 1])
+        terms *= self._single if words.dtype == np.float32 else self._exact
+        parts: Floats = np.add.reduce(terms, axis=3)
         return parts
 
     def around(self, matrices: Floats) -> Floats:

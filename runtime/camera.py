@@ -87,13 +87,13 @@ class CameraMatrices:
     def __post_init__(self) -> None:
         rows = np.zeros((7, 4))
         rows[:4] = self.projection
-        np.matmul(self.projection[:, :3], self.rotation, out=rows[:4, :3])
+        rows[:4, :3] = self.projection[:, :3].dot(self.rotation)
         rows[4:, :3] = self.rotation
         (x, _, aside, _), (_, y, above, _), _, (_, _, shrinks, _) = self.projection.tolist()
         widest_sq = ((1.0 + abs(aside)) / x) ** 2 + ((1.0 + abs(above)) / y) ** 2 if x and y else math.inf
         for name, value in (
             ("clip_from_world", rows[:4]),
-            ("functions", _FUNCTIONS @ rows),
+            ("functions", _FUNCTIONS.dot(rows)),
             ("is_perspective", shrinks != 0.0),
             ("widest_sq", widest_sq),
             ("_focal", (abs(x), abs(y))),
@@ -196,7 +196,7 @@ class Camera:
         if not is_number(self.fovy_deg) or not 0.0 < self.fovy_deg < 180.0:
             told = shown(self.fovy_deg)
             raise RenderError(f"the camera's field of view is {told} degrees: it must lie between 0 and 180")
-        if not all(value is None or is_number(value) for value in (self.near_m, self.far_m)):
+        if not (self.near_m is None or is_number(self.near_m)) or not (self.far_m is None or is_number(self.far_m)):
             raise RenderError("the camera's near_m and far_m must be numbers, or None to be chosen")
         distance = math.dist(eye, target)
         if distance == 0.0:
@@ -207,8 +207,8 @@ class Camera:
             raise RenderError(
                 f"the camera's near and far planes are at {near} and {far} m: near must be positive and less"
             )
-        x, y, z = ((end - start) / distance for start, end in zip(eye, target))
-        forward: Vector = (x, y, z)
+        x, y, z = (target[0] - eye[0]) / distance, (target[1] - eye[1]) / distance, (target[2] - eye[2]) / distance
+        forward = x, y, z
         right = _cross(forward, up)
         length = math.hypot(*right)
         if length < 1e-9 * max(math.hypot(*up), 1e-30):  # straight up or down

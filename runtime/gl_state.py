@@ -59,6 +59,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "glViewport": (None, _I, _I, _I, _I),
     "glBindFramebuffer": (None, _U, _U), "glVertexAttribPointer": (None, _U, _I, _U, _B, _I, _P),
 }  # fmt: skip
+_Integers = ctypes.c_int * 16  # no state has more
 _MUST_CONVERT = {_F, _S, _A}  # what ctypes passes otherwise unless told
 
 
@@ -91,9 +92,9 @@ class Functions:
 
     def integers(self, what: int, count: int) -> list[int]:
         """Several integers of the state."""
-        values = (ctypes.c_int * max(count, 4))()
+        values = _Integers()
         self.glGetIntegerv(what, values)
-        return list(values[:count])
+        return values[:count]
 
     def number(self, what: int) -> float:
         """One float of the state."""

@@ -17,9 +17,11 @@ from runtime.given import is_number, shown
 
 Floats = NDArray[np.floating]
 
+_CUT = -1e-30  # depth, as a negative number, of what the plane of the camera cuts: nearer than anything else
 _LAST_ROW, _ONES = np.array([0.0, 0.0, 0.0, 1.0]), np.ones(3)
 PREFERENCES = ("levels", "tessellation")
 HYSTERESIS = 0.15  # a coarser level is taken only where its error is this part below the threshold: no flicker at rest
+_FINEST_AND_COARSER = np.array([[1.0], [1.0 - HYSTERESIS]])  # parts of the error that is allowed
 
 
 @dataclass(frozen=True)
@@ -96,8 +98,9 @@ def measure(
     values: NDArray[np.float64] = np.concatenate((linear, np.abs(linear)), axis=2) @ parts.reshape(len(parts), 6, -1)
     values += functions[:, :, 3:]
     if camera.is_perspective:  # the squared tangent of each part, in place of one of the axes that it is made of
+        behind = np.minimum(values[:, 10:], _CUT, out=values[:, 10:])
         tangents = np.maximum(values[:, 6:10:2], values[:, 7:10:2])
-        tangents /= np.minimum(values[:, 10:], -1e-30)
+        tangents /= behind
         tangents *= tangents
         np.add(tangents[:, 0], tangents[:, 1], out=values[:, 6])
     largest = np.maximum.reduce(values, axis=2)
@@ -109,9 +112,9 @@ def measure(
     if not camera.is_perspective:
         return seen, np.sqrt(stretch_sq) * camera.focal_px(*size_px)
     stretch_sq *= 1.0 + np.minimum(largest[:, 6], camera.widest_sq)
-    nearest = -largest[:, 10]
-    size = np.sqrt(stretch_sq) * camera.focal_px(*size_px) / np.maximum(nearest, 1e-30)
-    return seen, np.where(nearest > 0.0, size, np.inf)
+    nearest = largest[:, 10]  # as a negative number
+    size = np.sqrt(stretch_sq) * -camera.focal_px(*size_px) / nearest
+    return seen, np.where(nearest < _CUT, size, np.inf)
 
 
 def choose_levels(
@@ -136,7 +139,7 @@ def choose_levels(
     errors = monotonic_errors(errors_m)
     allowed_m = threshold_px / np.maximum(pixels_a_metre, 1e-300)
     # NaN sorts last: nothing is known, nothing differs.
-    finest, coarser = errors.searchsorted(np.multiply.outer((1.0, 1.0 - HYSTERESIS), allowed_m), side="right") - 1
+    finest, coarser = errors.searchsorted(_FINEST_AND_COARSER * allowed_m, side="right") - 1
     return np.where(previous < 0, finest, np.minimum(finest, np.maximum(coarser, previous)))
 
 
