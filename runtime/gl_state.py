@@ -247,11 +247,9 @@ class saved_state:
     """
 
     def __init__(self, texture_units: Sequence[int], uniform_bindings: Sequence[int], patches: bool) -> None:
-        self._bindings, self._patches = tuple(uniform_bindings), patches
-        page = self._page = _Page(len(texture_units), len(self._bindings))
-        self._units = [
-            (unit, TEXTURE0 + unit, *places) for unit, *places in zip(texture_units, page.textures, page.samplers)
-        ]
+        self._units, self._bindings, self._patches = tuple(texture_units), tuple(uniform_bindings), patches
+        self._unit_names = [TEXTURE0 + unit for unit in self._units]
+        self._page = _Page(len(self._units), len(self._bindings))
 
     def __enter__(self) -> Functions:
         gl, page = functions(), self._page
@@ -262,14 +260,14 @@ class saved_state:
         gl.glGetFloatv(POLYGON_OFFSET_UNITS, page.units_offset)
         if self._patches:
             get(PATCH_VERTICES, page.patches)
-        for _, name, texture_at, sampler_at in self._units:
+        for name, texture_at, sampler_at in zip(self._unit_names, page.textures, page.samplers):
             activate(name)
             get(TEXTURE_BINDING_2D, texture_at)
             get(SAMPLER_BINDING, sampler_at)
-        self._bound = page.units[:]
-        for (unit, *_), sampler in zip(self._units, self._bound[1::2]):
-            if sampler:
-                gl.glBindSampler(unit, 0)
+        self._textures, samplers = page.units[::2], page.units[1::2]
+        self._samplers = [(unit, sampler) for unit, sampler in zip(self._units, samplers) if sampler]
+        for unit, _ in self._samplers:
+            gl.glBindSampler(unit, 0)
         for binding, (buffer_at, start_at, size_at) in zip(self._bindings, page.blocks):
             gl.glGetIntegeri_v(UNIFORM_BUFFER_BINDING, binding, buffer_at)
             gl.glGetInteger64i_v(UNIFORM_BUFFER_START, binding, start_at)
@@ -304,11 +302,11 @@ class saved_state:
         if self._patches:
             gl.glPatchParameteri(PATCH_VERTICES, page.patch_vertices.value)
         activate, bind = gl.glActiveTexture, gl.glBindTexture
-        for (unit, name, *_), texture, sampler in zip(self._units, self._bound[::2], self._bound[1::2]):
+        for name, texture in zip(self._unit_names, self._textures):
             activate(name)
             bind(TEXTURE_2D, texture)
-            if sampler:
-                gl.glBindSampler(unit, sampler)
+        for unit, sampler in self._samplers:
+            gl.glBindSampler(unit, sampler)
         activate(active)
         for binding, buffer, start, size in zip(self._bindings, page.buffers, page.ranges[::2], page.ranges[1::2]):
             if size:

@@ -18,7 +18,7 @@ from runtime.given import is_number, shown
 Floats = NDArray[np.floating]
 
 _CUT = -1e-30  # depth, as a negative number, of what the plane of the camera cuts: nearer than anything else
-_LAST_ROW, _ONES = np.array([0.0, 0.0, 0.0, 1.0]), np.ones(3)
+_LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 PREFERENCES = ("levels", "tessellation")
 HYSTERESIS = 0.15  # a coarser level is taken only where its error is this part below the threshold: no flicker at rest
 _FINEST_AND_COARSER = np.array([[1.0], [1.0 - HYSTERESIS]])  # parts of the error that is allowed
@@ -108,7 +108,8 @@ def measure(
     # The largest stretch of a matrix is at most the root of the largest row sum of its Gram matrix; equal where it
     # turns and scales evenly.
     linear = transforms[:, :3, :3]
-    stretch_sq = np.maximum.reduce(np.abs(linear.transpose(0, 2, 1) @ linear) @ _ONES, axis=1)
+    gram = np.abs(linear.transpose(0, 2, 1) @ linear)
+    stretch_sq = np.maximum.reduce(np.add.reduce(gram, axis=2), axis=1)
     if not camera.is_perspective:
         return seen, np.sqrt(stretch_sq) * camera.focal_px(*size_px)
     stretch_sq *= 1.0 + np.minimum(largest[:, 6], camera.widest_sq)

@@ -18,7 +18,6 @@ from runtime.actor_batch import ActorBatch
 from runtime.camera import CameraMatrices
 from runtime.errors import RenderError
 from runtime.gpu_asset import Model
-from runtime.gpu_levels import INSTANCE
 from runtime.lod import Quality, around_eye, choose_levels, measure
 
 if TYPE_CHECKING:
@@ -100,8 +99,7 @@ def refuse_broken_poses(model: Model, batch: ActorBatch) -> None:
     ------
     RenderError
     """
-    flat = batch.joint_rows.ravel()
-    if math.isfinite(float(np.dot(flat, flat))):  # one call tells of all; it may only overflow
+    if math.isfinite(np.vdot(batch.joint_rows, batch.joint_rows)):  # one call tells of all; it may only overflow
         return
     if not np.isfinite(batch.joint_rows).all():
         broken = int(np.flatnonzero(~np.isfinite(batch.joint_rows).all(axis=(1, 2, 3)))[0])
@@ -162,10 +160,10 @@ def place(
             levels_before[actor] = level
     if not members:
         return [], drawn
-    records = np.empty((len(before), INSTANCE.itemsize // 4), np.float32)
-    records[:, :12] = rows
-    records[:, 12:16] = batch.tints
-    numbers = records.view(np.int32)
-    numbers[:, 16] = np.arange(len(before))
-    numbers[:, 17] = levels
-    return [Group(model, key, records[indices]) for key, indices in sorted(members.items())], drawn
+    numbers = np.array([*enumerate(levels)], np.int32).view(np.float32)
+    records = np.concatenate((rows, batch.tints, numbers), axis=1, dtype=np.float32)
+    groups = [
+        Group(model, key, records if len(indices) == len(records) else records[indices])
+        for key, indices in sorted(members.items())
+    ]
+    return groups, drawn
