@@ -5,7 +5,7 @@ Letters in shapes: A actors, J joints, P parts of a body.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,19 +28,35 @@ class ActorBatch:
     actors : tuple of A Actor
     transforms : (A, 4, 4) float64
     joint_rows : (A, J, 3, 4) float32, contiguous
-    bounds : (A, 2, 3) float32
-        Box of each actor's pose, object space.
-    parts : two (A, P, 3) float32
-        Middles and reaches of boxes, one a joint that moves anything, in whose convex hull the pose lies.
+    parts : (A, 2, 3, P) float32
+        Middles and reaches of boxes, one a joint that moves anything, in whose convex hull the pose lies, object space.
     tints : (A, 4) float32
     """
 
     actors: tuple[Actor, ...]
     transforms: NDArray[np.float64]
     joint_rows: Floats
-    bounds: Floats
-    parts: tuple[Floats, Floats]
+    parts: Floats
     tints: NDArray[np.float32]
+
+    @property
+    def bounds(self) -> Floats:
+        """Box of each actor's pose, object space, (A, 2, 3) float32."""
+        return box_around(self.parts)
+
+
+def refuse_broken_transforms(actors: Sequence[Actor]) -> None:
+    """See that all transforms are finite.
+
+    Raises
+    ------
+    ValueError
+    """
+    for index, actor in enumerate(actors):
+        if not (np.abs(actor._transform) <= FARTHEST).all():  # NaN is not
+            raise ValueError(
+                f"the transform of actor {index} of those to draw is not finite, or far too large; check what sets it"
+            )
 
 
 def gather(actors: Iterable[Actor]) -> list[tuple[Any, ActorBatch]]:
@@ -58,34 +74,23 @@ def gather(actors: Iterable[Actor]) -> list[tuple[Any, ActorBatch]]:
         When a transform is not finite: it says which actor of the list.
     """
     listed = [actor for actor in tuple(actors) if actor.visible and not actor.released]
-    if not listed:
-        return []
-    transforms = np.array([actor._transform for actor in listed], dtype=np.float64)
-    usable = np.abs(transforms) <= FARTHEST  # NaN is not
-    if not usable.all():
-        broken = int(np.flatnonzero(~usable.all(axis=(1, 2)))[0])
-        raise ValueError(
-            f"the transform of actor {broken} of those to draw is not finite, or far too large; check what sets it"
-        )
-    groups: dict[int, list[int]] = {}
-    for index, actor in enumerate(listed):
-        groups.setdefault(id(actor.model), []).append(index)
+    groups: dict[int, list[Actor]] = {}
+    for actor in listed:
+        groups.setdefault(id(actor.model), []).append(actor)
     batches: list[tuple[Any, ActorBatch]] = []
-    for members in groups.values():
-        group = tuple(listed[index] for index in members)
+    for group in groups.values():
         model = group[0].model
+        transforms = np.array([actor._transform for actor in group], dtype=np.float64)
+        if not np.vdot(transforms, transforms) <= FARTHEST**2:  # one call tells of nearly all; NaN is not
+            refuse_broken_transforms(listed)
         rows = model.mixer.joint_rows([actor.row for actor in group])
         parts = carrier_of(model).carried(rows)
-        bounds = np.zeros((len(rows), 2, 3), rows.dtype)
-        if parts[0].shape[1]:
-            box_around(*parts, out=bounds)
-        else:
-            parts = (np.zeros((len(rows), 1, 3), rows.dtype),) * 2
+        if not parts.shape[3]:
+            parts = np.zeros((len(rows), 2, 3, 1), rows.dtype)
         batch = ActorBatch(
-            actors=group,
-            transforms=transforms[members],
+            actors=tuple(group),
+            transforms=transforms,
             joint_rows=rows,
-            bounds=bounds,
             parts=parts,
             tints=np.array([actor._tint for actor in group]),
         )

@@ -12,7 +12,8 @@ own R·S, and o its origin,
 
 where key frame tracks give |R′| = ω, |R″| ≤ ω² exactly (great arcs) and polynomials bound the rest. Nothing is
 assumed about the clip, so the box is proven, not guessed from samples.
-Letters in shapes: A actors, J joints, N nodes, V vertices, K influences, I intervals of time.
+Letters in shapes: A actors, J joints, P joints that move something, N nodes, V vertices, K influences, I intervals of
+time.
 """
 
 from __future__ import annotations
@@ -92,34 +93,36 @@ class JointBoxes:
     """
 
     def __init__(self, boxes: NDArray[np.float64]) -> None:
-        used = np.flatnonzero(np.isfinite(boxes).all(axis=(1, 2)))
-        self.used: NDArray[np.int64] | None = None if len(used) == len(boxes) else used
-        centres = np.ones((len(used), 4))  # with a one, for the translation
-        centres[:, :3] = boxes[used].mean(axis=1)
-        halves = np.ptp(boxes[used], axis=1) / 2
-        self._exact = centres, halves
-        self._single = centres.astype(np.float32), halves.astype(np.float32)
+        self.used = np.flatnonzero(np.isfinite(boxes).all(axis=(1, 2)))
+        # Where a joint's 3 x 4 words lie in a pose. Joints come last in all that follows: inner loops are long then.
+        self._words = np.arange(12).reshape(3, 4, 1) + 12 * self.used
+        factors = np.zeros((2, 1, 4, len(self.used)))  # of middles, with a one for the translation, and of reaches
+        factors[0, 0, :3] = boxes[self.used].mean(axis=1).T
+        factors[0, 0, 3] = 1.0
+        factors[1, 0, :3] = np.ptp(boxes[self.used], axis=1).T / 2
+        self._exact, self._single = factors, factors.astype(np.float32)
 
-    def carried(self, matrices: Floats) -> tuple[Floats, Floats]:
-        """Middle and reach of every used joint's box, carried by (A, J, 3, 4) matrices: (A, J used, 3) each."""
-        kept = matrices if self.used is None else matrices[:, self.used]
-        centres, halves = self._single if matrices.dtype == np.float32 else self._exact
-        middle = np.einsum("ajrc,jc->ajr", kept, centres)
-        reach = np.einsum("ajrc,jc->ajr", np.abs(kept[..., :3]), halves)
-        return middle, reach
+    def carried(self, matrices: Floats) -> Floats:
+        """Boxes of the joints that move something, carried by (A, J, 3, 4) matrices: middle and reach, (A, 2, 3, P)."""
+        words = matrices.reshape(len(matrices), -1).take(self._words, axis=1)
+        terms = np.empty((len(words), 2, *self._words.shape), words.dtype)
+        terms[:, 0] = words
+        np.abs(words, out=terms[:, 1])
+        terms *= self._single if words.dtype == np.float32 else self._exact
+        parts: Floats = np.add.reduce(terms, axis=3)
+        return parts
 
     def around(self, matrices: Floats) -> Floats:
         """Box of the skinned mesh of each pose, (A, 2, 3); zeros where no joint moves anything."""
-        result = np.zeros((len(matrices), 2, 3), matrices.dtype)
-        if len(self._exact[0]):
-            box_around(*self.carried(matrices), out=result)
-        return result
+        return box_around(self.carried(matrices))
 
 
-def box_around(middles: Floats, reaches: Floats, out: Floats) -> None:
-    """Fill boxes (A, 2, 3) with what holds all of (A, J, 3) boxes given by middle and reach."""
-    (middles - reaches).min(axis=1, out=out[:, 0])
-    (middles + reaches).max(axis=1, out=out[:, 1])
+def box_around(parts: Floats) -> Floats:
+    """What holds all boxes of each body, given by middle and reach, (A, 2, 3, P): (A, 2, 3), zeros where P is 0."""
+    if not parts.shape[3]:
+        return np.zeros(parts.shape[:3], parts.dtype)
+    middles, reaches = parts[:, 0], parts[:, 1]
+    return np.stack([(middles - reaches).min(axis=2), (middles + reaches).max(axis=2)], axis=1)
 
 
 def pose_bounds(matrices: Floats, boxes: NDArray[np.float64]) -> Floats:
@@ -291,22 +294,22 @@ def clip_bounds(skeleton: Skeleton, clip: Clip, boxes: NDArray[np.float64]) -> N
     for doubling in range(_MAX_DOUBLINGS + 1):
         starts, ends = _sample_times(clip, 2**doubling)
         first, last = (
-            np.stack([middle - reach, middle + reach], axis=2)
-            for middle, reach in (
+            np.stack([parts[:, 0] - parts[:, 1], parts[:, 0] + parts[:, 1]], axis=1)
+            for parts in (
                 carrier.carried(skinning_rows(skeleton, sample(clip, skeleton, times))) for times in (starts, ends)
             )
         )
         accelerations, radii = _accelerations(skeleton, clip, (starts + ends) / 2, reaches)
-        stray = np.minimum((ends - starts) ** 2 / 8 * accelerations, 2 * radii)[used].T[:, :, None]
+        stray = np.minimum((ends - starts) ** 2 / 8 * accelerations, 2 * radii)[used].T[:, None]
         # Left limits are taken one rounding step early, and sums round: a hair covers both.
         hair = 1e-9 * (1 + float(radii.max()))
         box = np.stack(
             [
-                (np.minimum(first[:, :, 0], last[:, :, 0]) - stray).min(axis=(0, 1)) - hair,
-                (np.maximum(first[:, :, 1], last[:, :, 1]) + stray).max(axis=(0, 1)) + hair,
+                (np.minimum(first[:, 0], last[:, 0]) - stray).min(axis=(0, 2)) - hair,
+                (np.maximum(first[:, 1], last[:, 1]) + stray).max(axis=(0, 2)) + hair,
             ]
         )
-        sampled = np.stack([first[:, :, 0].min(axis=(0, 1)), first[:, :, 1].max(axis=(0, 1))])
+        sampled = np.stack([first[:, 0].min(axis=(0, 2)), first[:, 1].max(axis=(0, 2))])
         if np.abs(box - sampled).max() <= _MARGIN_REL * np.linalg.norm(np.ptp(sampled, axis=0)):
             break
     return box

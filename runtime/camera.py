@@ -24,6 +24,11 @@ FRAMING_DIRECTION = (0.42, 0.16, 1.0)  # a little from the side and above: shows
 
 Vector = tuple[float, float, float]
 Ray = tuple[NDArray[np.float64], NDArray[np.float64]]
+# `CameraMatrices.functions` out of the rows of clip space and of the view's axes.
+_FUNCTIONS = np.zeros((11, 7))
+_FUNCTIONS[:6, 3] = 1.0
+_FUNCTIONS[[0, 1, 2, 6, 8, 10], [0, 1, 2, 4, 5, 6]] = 1.0
+_FUNCTIONS[[3, 4, 5, 7, 9], [0, 1, 2, 4, 5]] = -1.0
 
 
 def _cross(a: Vector, b: Vector) -> Vector:
@@ -39,7 +44,7 @@ def _vector(numbers: ArrayLike) -> Vector:
     RenderError
     """
     try:
-        x, y, z = (float(number) for number in numbers)  # type: ignore[union-attr, arg-type]
+        x, y, z = map(float, numbers)  # type: ignore[arg-type]
     except (TypeError, ValueError):
         x = y = z = math.nan
     if not (abs(x) <= FARTHEST and abs(y) <= FARTHEST and abs(z) <= FARTHEST):  # NaN is not
@@ -61,36 +66,44 @@ class CameraMatrices:
         View to clip space, OpenGL's depth from -1 to 1.
     clip_from_world : (4, 4) float64
         World axes with the origin at the eye to clip space.
-    sides : (6, 4) float64
-        Linear functions of a point seen from the eye that are negative beyond a side of the view.
+    functions : (11, 4) float64
+        Linear functions of a point seen from the eye, whose last factor is that of one: six that are negative beyond a
+        side of the view, then how far the point lies to the right, the left, above, below and behind, metres.
+    is_perspective : bool
+        Whether size shrinks with distance.
+    widest_sq : float
+        Square of the tangent of the largest angle off the axis that is in the picture.
     """
 
     eye: NDArray[np.float64]
     rotation: Matrix
     projection: Matrix
     clip_from_world: Matrix = field(init=False)
-    sides: Matrix = field(init=False)
+    functions: Matrix = field(init=False)
+    is_perspective: bool = field(init=False)
+    widest_sq: float = field(init=False)
+    _focal: tuple[float, float] = field(init=False)
 
     def __post_init__(self) -> None:
-        clip = self.projection.copy()
-        clip[:, :3] = self.projection[:, :3] @ self.rotation
-        object.__setattr__(self, "clip_from_world", clip)
-        object.__setattr__(self, "sides", np.concatenate([clip[3] + clip[:3], clip[3] - clip[:3]]))
-
-    @property
-    def is_perspective(self) -> bool:
-        """Whether size shrinks with distance."""
-        return bool(self.projection[3, 2] != 0.0)
+        rows = np.zeros((7, 4))
+        rows[:4] = self.projection
+        rows[:4, :3] = self.projection[:, :3].dot(self.rotation)
+        rows[4:, :3] = self.rotation
+        (x, _, aside, _), (_, y, above, _), _, (_, _, shrinks, _) = self.projection.tolist()
+        widest_sq = ((1.0 + abs(aside)) / x) ** 2 + ((1.0 + abs(above)) / y) ** 2 if x and y else math.inf
+        for name, value in (
+            ("clip_from_world", rows[:4]),
+            ("functions", _FUNCTIONS.dot(rows)),
+            ("is_perspective", shrinks != 0.0),
+            ("widest_sq", widest_sq),
+            ("_focal", (abs(x), abs(y))),
+        ):
+            object.__setattr__(self, name, value)
 
     def focal_px(self, width: int, height: int) -> float:
         """Pixels that a metre covers at depth one, or anywhere without perspective, along the longer way."""
-        return max(abs(float(self.projection[0, 0])) * width, abs(float(self.projection[1, 1])) * height) / 2
-
-    @property
-    def widest_sq(self) -> float:
-        """Square of the tangent of the largest angle off the axis that is in the picture."""
-        (x, _, aside, _), (_, y, above, _) = self.projection[:2].tolist()
-        return float(((1 + abs(aside)) / x) ** 2 + ((1 + abs(above)) / y) ** 2)
+        x, y = self._focal
+        return max(x * width, y * height) / 2
 
 
 def _ray(camera: CameraMatrices, point_px: ArrayLike, size_px: tuple[int, int]) -> Ray:
@@ -183,7 +196,7 @@ class Camera:
         if not is_number(self.fovy_deg) or not 0.0 < self.fovy_deg < 180.0:
             told = shown(self.fovy_deg)
             raise RenderError(f"the camera's field of view is {told} degrees: it must lie between 0 and 180")
-        if not all(value is None or is_number(value) for value in (self.near_m, self.far_m)):
+        if not (self.near_m is None or is_number(self.near_m)) or not (self.far_m is None or is_number(self.far_m)):
             raise RenderError("the camera's near_m and far_m must be numbers, or None to be chosen")
         distance = math.dist(eye, target)
         if distance == 0.0:
@@ -194,8 +207,8 @@ class Camera:
             raise RenderError(
                 f"the camera's near and far planes are at {near} and {far} m: near must be positive and less"
             )
-        x, y, z = ((end - start) / distance for start, end in zip(eye, target))
-        forward: Vector = (x, y, z)
+        x, y, z = (target[0] - eye[0]) / distance, (target[1] - eye[1]) / distance, (target[2] - eye[2]) / distance
+        forward = x, y, z
         right = _cross(forward, up)
         length = math.hypot(*right)
         if length < 1e-9 * max(math.hypot(*up), 1e-30):  # straight up or down
@@ -248,14 +261,11 @@ class MatrixCamera:
 def perspective(fovy_deg: float, aspect: float, near_m: float, far_m: float) -> Matrix:
     """OpenGL's perspective projection, (4, 4) float64."""
     focal, depth = 1.0 / math.tan(math.radians(fovy_deg) / 2), near_m - far_m
-    return np.array(
-        [
-            [focal / aspect, 0.0, 0.0, 0.0],
-            [0.0, focal, 0.0, 0.0],
-            [0.0, 0.0, (far_m + near_m) / depth, 2 * far_m * near_m / depth],
-            [0.0, 0.0, -1.0, 0.0],
-        ]
-    )
+    projection = np.zeros((4, 4))
+    projection[0, 0], projection[1, 1] = focal / aspect, focal
+    projection[2, 2], projection[2, 3] = (far_m + near_m) / depth, 2 * far_m * near_m / depth
+    projection[3, 2] = -1.0
+    return projection
 
 
 def framing(

@@ -37,7 +37,7 @@ def _questions() -> tuple[Callable[[], int | None], ...]:
     found: dict[str, Callable[[], int | None]] = {}
     for library, name in _QUESTIONS.get(sys.platform, ()):
         try:
-            function = getattr(ctypes.CDLL(library), name)
+            function = getattr(ctypes.PyDLL(library), name)  # so short a call keeps Python's lock
         except (OSError, AttributeError):
             continue
         function.restype, function.argtypes = ctypes.c_void_p, []
@@ -50,7 +50,11 @@ def current_context() -> int | None:
     questions = _questions()
     if not questions:
         return None
-    return next((handle for handle in (ask() for ask in questions) if handle), 0)
+    for ask in questions:
+        handle = ask()
+        if handle:
+            return handle
+    return 0
 
 
 def is_gone(ctx: moderngl.Context) -> bool:

@@ -58,16 +58,18 @@ class FrameBlock:
         self, matrices: CameraMatrices, size_px: tuple[int, int], lighting: Lighting, quality: Quality, factor: float
     ) -> None:
         """Fill the block for a picture; `factor` divides every tessellated edge, 0 for as its length on screen asks."""
-        frame = self._words
+        frame, words = self._words, self._words.ravel()
         frame[0:4] = matrices.clip_from_world.T
         frame[4, :3] = matrices.eye
-        frame[5] = *size_px, matrices.focal_px(*size_px), float(matrices.is_perspective)
+        words[20], words[21] = size_px  # few numbers are quicker one by one
+        words[22], words[23] = matrices.focal_px(*size_px), matrices.is_perspective
         if lighting is not self._written:
             sun = np.asarray(lighting.sun_direction, np.float64)
             frame[6, :3] = sun / max(float(np.linalg.norm(sun)), 1e-30)
             frame[7] = *lighting.sun_color, lighting.exposure
             self._written = lighting
-        frame[8] = quality.segment_px, MAX_FACTOR, factor, quality.texels_a_segment
+        words[32], words[33] = quality.segment_px, MAX_FACTOR
+        words[34], words[35] = factor, quality.texels_a_segment
         self._block.write(frame)
 
     def bind(self) -> None:

@@ -36,7 +36,9 @@ DRAW_FRAMEBUFFER, DRAW_FRAMEBUFFER_BINDING, READ_FRAMEBUFFER, READ_FRAMEBUFFER_B
 FRONT, BACK, FRONT_AND_BACK, CW, CCW, LINE, FILL = 0x0404, 0x0405, 0x0408, 0x0900, 0x0901, 0x1B01, 0x1B02
 LESS, LEQUAL, ZERO, ONE, SRC_ALPHA, ONE_MINUS_SRC_ALPHA, FUNC_ADD = 0x0201, 0x0203, 0, 1, 0x0302, 0x0303, 0x8006
 
-_I, _U, _F, _B, _P = ctypes.c_int, ctypes.c_uint, ctypes.c_float, ctypes.c_ubyte, ctypes.c_void_p
+_I, _U, _F, _B, _S = ctypes.c_int, ctypes.c_uint, ctypes.c_float, ctypes.c_ubyte, ctypes.c_ssize_t
+_P = ctypes.c_void_p  # a ctypes reference, array or pointer, or None
+_A = type("_Address", (ctypes.c_void_p,), {})  # an address as a plain number
 _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "glGetIntegerv": (None, _U, _P), "glGetInteger64v": (None, _U, _P), "glGetFloatv": (None, _U, _P),
     "glGetIntegeri_v": (None, _U, _U, _P), "glGetInteger64i_v": (None, _U, _U, _P),
@@ -46,9 +48,9 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "glPolygonMode": (None, _U, _U), "glPolygonOffset": (None, _F, _F), "glLineWidth": (None, _F),
     "glBlendFuncSeparate": (None, _U, _U, _U, _U), "glBlendEquationSeparate": (None, _U, _U),
     "glUseProgram": (None, _U), "glBindVertexArray": (None, _U), "glBindBuffer": (None, _U, _U),
-    "glBindBufferBase": (None, _U, _U, _U), "glBindBufferRange": (None, _U, _U, _U, ctypes.c_ssize_t, ctypes.c_ssize_t),
+    "glBindBufferBase": (None, _U, _U, _U), "glBindBufferRange": (None, _U, _U, _U, _S, _S),
     "glActiveTexture": (None, _U), "glBindTexture": (None, _U, _U), "glBindSampler": (None, _U, _U),
-    "glTexSubImage2D": (None, _U, _I, _I, _I, _I, _I, _U, _U, _P),
+    "glTexSubImage2D": (None, _U, _I, _I, _I, _I, _I, _U, _U, _A),
     "glTexImage2D": (None, _U, _I, _I, _I, _I, _I, _U, _U, _P), "glTexParameteri": (None, _U, _U, _I),
     "glGetTexLevelParameteriv": (None, _U, _I, _U, _P),
     "glPixelStorei": (None, _U, _I), "glPatchParameteri": (None, _U, _I),
@@ -57,6 +59,16 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "glViewport": (None, _I, _I, _I, _I),
     "glBindFramebuffer": (None, _U, _U), "glVertexAttribPointer": (None, _U, _I, _U, _B, _I, _P),
 }  # fmt: skip
+_Integers = ctypes.c_int * 16  # no state has more
+_MUST_CONVERT = {_F, _S, _A}  # what ctypes passes otherwise unless told
+
+
+def _function(address: int, result: Any, arguments: Sequence[Any]) -> Any:
+    """A GL function to call. One of plain integers and pointers needs no declaration, and takes a third of the time."""
+    if sys.platform == "win32":  # it has its own calling convention, whose functions count what they are given
+        return ctypes.WINFUNCTYPE(result, *arguments)(address)
+    declared = arguments if _MUST_CONVERT.intersection(arguments) else ()
+    return ctypes.PYFUNCTYPE(result, *declared)(address)  # short calls keep Python's lock, which is a fifth quicker
 
 
 class Functions:
@@ -64,12 +76,10 @@ class Functions:
 
     def __init__(self) -> None:
         load = _loader()
-        # Windows has its own calling convention; elsewhere short calls keep Python's lock, which is a fifth quicker.
-        make = getattr(ctypes, "WINFUNCTYPE", ctypes.PYFUNCTYPE)
         for name, (result, *arguments) in _SIGNATURES.items():
             address = load(name)
             if address:
-                setattr(self, name, make(result, *arguments)(address))
+                setattr(self, name, _function(address, result, arguments))
             elif name != "glPatchParameteri":
                 raise RenderError(f"the OpenGL library has no {name}: update the graphics driver")
 
@@ -78,15 +88,13 @@ class Functions:
 
     def integer(self, what: int) -> int:
         """One integer of the state."""
-        values = (ctypes.c_int * 4)()
-        self.glGetIntegerv(what, values)
-        return values[0]
+        return self.integers(what, 1)[0]
 
     def integers(self, what: int, count: int) -> list[int]:
         """Several integers of the state."""
-        values = (ctypes.c_int * max(count, 4))()
+        values = _Integers()
         self.glGetIntegerv(what, values)
-        return list(values[:count])
+        return values[:count]
 
     def number(self, what: int) -> float:
         """One float of the state."""
@@ -192,23 +200,37 @@ _ASKED = (
     CURRENT_PROGRAM, VERTEX_ARRAY_BINDING, ARRAY_BUFFER_BINDING, UNIFORM_BUFFER_BINDING, ACTIVE_TEXTURE,
     PIXEL_UNPACK_BUFFER_BINDING, *UNPACK_SETTINGS,
 )  # fmt: skip
+_COLOR_MASK = 4 * _ASKED.index(COLOR_WRITEMASK)
 
 
 class _Page:
-    """Memory that the driver writes answers to, with places ready to be handed over: a call so costs a third less."""
+    """Memory that the driver writes answers to, with references to its places ready: they need not be made each time.
 
-    def __init__(self, num_units: int) -> None:
+    Parameters
+    ----------
+    num_units, num_blocks : int
+        Of texture units and of uniform buffer binding points.
+    """
+
+    def __init__(self, num_units: int, num_blocks: int) -> None:
         self.words = (ctypes.c_int * (4 * len(_ASKED)))()
         self.units = (ctypes.c_int * (2 * num_units))()
+        self.buffers = (ctypes.c_int * max(num_blocks, 1))()
+        self.ranges = (ctypes.c_int64 * (2 * max(num_blocks, 1)))()
         self.offset = (ctypes.c_float * 2)()
-        self.asked = [(what, self._at(self.words, 4 * index)) for index, what in enumerate(_ASKED)]
-        self.textures = [self._at(self.units, 2 * index) for index in range(num_units)]
-        self.samplers = [self._at(self.units, 2 * index + 1) for index in range(num_units)]
-        self.offsets = [self._at(self.offset, index) for index in range(2)]
-
-    @staticmethod
-    def _at(array: Any, index: int) -> ctypes.c_void_p:
-        return ctypes.c_void_p(ctypes.addressof(array) + 4 * index)
+        self.patch_vertices = ctypes.c_int()
+        self.asked = [(what, ctypes.byref(self.words, 16 * index)) for index, what in enumerate(_ASKED)]
+        self.textures = [ctypes.byref(self.units, 8 * index) for index in range(num_units)]
+        self.samplers = [ctypes.byref(self.units, 8 * index + 4) for index in range(num_units)]
+        self.blocks = [
+            (
+                ctypes.byref(self.buffers, 4 * index),
+                *(ctypes.byref(self.ranges, 16 * index + 8 * part) for part in (0, 1)),
+            )
+            for index in range(num_blocks)
+        ]
+        self.factor, self.units_offset = (ctypes.byref(self.offset, 4 * index) for index in (0, 1))
+        self.patches = ctypes.byref(self.patch_vertices)
 
 
 class saved_state:
@@ -226,27 +248,32 @@ class saved_state:
 
     def __init__(self, texture_units: Sequence[int], uniform_bindings: Sequence[int], patches: bool) -> None:
         self._units, self._bindings, self._patches = tuple(texture_units), tuple(uniform_bindings), patches
-        self._page = _Page(len(self._units))
+        self._unit_names = [TEXTURE0 + unit for unit in self._units]
+        self._page = _Page(len(self._units), len(self._bindings))
 
     def __enter__(self) -> Functions:
         gl, page = functions(), self._page
-        get = gl.glGetIntegerv
+        get, activate = gl.glGetIntegerv, gl.glActiveTexture
         for what, place in page.asked:
             get(what, place)
-        gl.glGetFloatv(POLYGON_OFFSET_FACTOR, page.offsets[0])
-        gl.glGetFloatv(POLYGON_OFFSET_UNITS, page.offsets[1])
-        self._patch_vertices = gl.integer(PATCH_VERTICES) if self._patches else 0
-        for unit, texture_at, sampler_at in zip(self._units, page.textures, page.samplers):
-            gl.glActiveTexture(TEXTURE0 + unit)
+        gl.glGetFloatv(POLYGON_OFFSET_FACTOR, page.factor)
+        gl.glGetFloatv(POLYGON_OFFSET_UNITS, page.units_offset)
+        if self._patches:
+            get(PATCH_VERTICES, page.patches)
+        for name, texture_at, sampler_at in zip(self._unit_names, page.textures, page.samplers):
+            activate(name)
             get(TEXTURE_BINDING_2D, texture_at)
             get(SAMPLER_BINDING, sampler_at)
-        self._bound = page.units[:]
-        for unit, sampler in zip(self._units, self._bound[1::2]):
-            if sampler:
-                gl.glBindSampler(unit, 0)
-        self._blocks = [(binding, *_uniform_binding(gl, binding)) for binding in self._bindings]
+        self._textures, samplers = page.units[::2], page.units[1::2]
+        self._samplers = [(unit, sampler) for unit, sampler in zip(self._units, samplers) if sampler]
+        for unit, _ in self._samplers:
+            gl.glBindSampler(unit, 0)
+        for binding, (buffer_at, start_at, size_at) in zip(self._bindings, page.blocks):
+            gl.glGetIntegeri_v(UNIFORM_BUFFER_BINDING, binding, buffer_at)
+            gl.glGetInteger64i_v(UNIFORM_BUFFER_START, binding, start_at)
+            gl.glGetInteger64i_v(UNIFORM_BUFFER_SIZE, binding, size_at)
         self._values = page.words[::4]
-        self._color_mask = page.words[4 * _ASKED.index(COLOR_WRITEMASK) :][:4]
+        self._color_mask = page.words[_COLOR_MASK : _COLOR_MASK + 4]
         unpack_buffer, *unpack = self._values[-len(UNPACK_SETTINGS) - 1 :]
         if unpack_buffer:
             gl.glBindBuffer(PIXEL_UNPACK_BUFFER, 0)
@@ -256,9 +283,10 @@ class saved_state:
         return gl
 
     def __exit__(self, *error: object) -> None:
-        gl, values = functions(), self._values
+        gl, page, values = functions(), self._page, self._values
+        enable, disable = gl.glEnable, gl.glDisable
         for flag, on in zip(CAPABILITIES, values):
-            (gl.glEnable if on else gl.glDisable)(flag)
+            (enable if on else disable)(flag)
         (cull, front, depth_func, depth_mask, polygon_mode, _color_mask, source, destination, source_alpha,
          destination_alpha, equation, equation_alpha, program, vertex_array, array_buffer, uniform_buffer, active,
          unpack_buffer, *unpack) = values[_SWITCHES:]  # fmt: skip
@@ -267,19 +295,20 @@ class saved_state:
         gl.glDepthFunc(depth_func)
         gl.glDepthMask(depth_mask)
         gl.glPolygonMode(FRONT_AND_BACK, polygon_mode)
-        gl.glPolygonOffset(*self._page.offset)
+        gl.glPolygonOffset(*page.offset)
         gl.glColorMask(*self._color_mask)
         gl.glBlendFuncSeparate(source, destination, source_alpha, destination_alpha)
         gl.glBlendEquationSeparate(equation, equation_alpha)
         if self._patches:
-            gl.glPatchParameteri(PATCH_VERTICES, self._patch_vertices)
-        for unit, texture, sampler in zip(self._units, self._bound[::2], self._bound[1::2]):
-            gl.glActiveTexture(TEXTURE0 + unit)
-            gl.glBindTexture(TEXTURE_2D, texture)
-            if sampler:
-                gl.glBindSampler(unit, sampler)
-        gl.glActiveTexture(active)
-        for binding, buffer, start, size in self._blocks:
+            gl.glPatchParameteri(PATCH_VERTICES, page.patch_vertices.value)
+        activate, bind = gl.glActiveTexture, gl.glBindTexture
+        for name, texture in zip(self._unit_names, self._textures):
+            activate(name)
+            bind(TEXTURE_2D, texture)
+        for unit, sampler in self._samplers:
+            gl.glBindSampler(unit, sampler)
+        activate(active)
+        for binding, buffer, start, size in zip(self._bindings, page.buffers, page.ranges[::2], page.ranges[1::2]):
             if size:
                 gl.glBindBufferRange(UNIFORM_BUFFER, binding, buffer, start, size)
             else:
@@ -294,14 +323,3 @@ class saved_state:
         gl.glPixelStorei(UNPACK_ALIGNMENT, unpack[5])
         if unpack_buffer:
             gl.glBindBuffer(PIXEL_UNPACK_BUFFER, unpack_buffer)
-
-
-def _uniform_binding(gl: Functions, binding: int) -> tuple[int, int, int]:
-    """Buffer, start and size (0: all of it) at a uniform buffer binding point."""
-    value = (ctypes.c_int * 4)()
-    gl.glGetIntegeri_v(UNIFORM_BUFFER_BINDING, binding, value)
-    long_value = (ctypes.c_int64 * 2)()
-    gl.glGetInteger64i_v(UNIFORM_BUFFER_START, binding, long_value)
-    start = long_value[0]
-    gl.glGetInteger64i_v(UNIFORM_BUFFER_SIZE, binding, long_value)
-    return value[0], start, long_value[0]

@@ -268,7 +268,17 @@ class Model(NotCopied):
         )
 
     def require_usable(self) -> None:
-        """Refuse a model that was released, or whose context was.
+        """Refuse a model that was released or is not all there, or whose context was released or is not current.
+
+        Raises
+        ------
+        RenderError
+        """
+        self.require_uploaded()
+        require_alive(self.ctx, "model")
+
+    def require_uploaded(self) -> None:
+        """Refuse a model that was released or is not all there.
 
         Raises
         ------
@@ -280,7 +290,6 @@ class Model(NotCopied):
             raise RenderError(
                 f"the model {self.asset.name} is not uploaded yet: call upload_slice() until it says False"
             )
-        require_alive(self.ctx, "model")
 
     @property
     def gpu_bytes(self) -> dict[str, int]:

@@ -212,7 +212,7 @@ class Levels:
                 buffer.release()
             buffer = self.ctx.buffer(reserve=capacity, dynamic=True)
             self._instances[key] = buffer
-        buffer.write(instances.tobytes())
+        buffer.write(instances)
         return buffer
 
     def vertex_array(

@@ -1,6 +1,6 @@
 """Which level of detail, and whether anything is seen at all: errors in metres become errors in pixels.
 
-Letters in shapes: A actors, L levels.
+Letters in shapes: A actors, L levels, P parts of a body.
 """
 
 from __future__ import annotations
@@ -17,8 +17,11 @@ from runtime.given import is_number, shown
 
 Floats = NDArray[np.floating]
 
+_CUT = -1e-30  # depth, as a negative number, of what the plane of the camera cuts: nearer than anything else
+_LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 PREFERENCES = ("levels", "tessellation")
 HYSTERESIS = 0.15  # a coarser level is taken only where its error is this part below the threshold: no flicker at rest
+_FINEST_AND_COARSER = np.array([[1.0], [1.0 - HYSTERESIS]])  # parts of the error that is allowed
 
 
 @dataclass(frozen=True)
@@ -57,39 +60,21 @@ class Quality:
             raise RenderError(f"quality: no preference {self.prefer!r}, one of {', '.join(PREFERENCES)}")
 
 
-@dataclass(frozen=True)
-class Bodies:
-    """Where actors are, each with a box of its own and parts in whose convex hull it lies.
-
-    Attributes
-    ----------
-    boxes : (A, 2, 3) float
-        Object space.
-    parts : two (A, P, 3) float
-        Middles and reaches of the parts' boxes, object space.
-    transforms : (A, 4, 4) float64
-        Object space to world.
-    """
-
-    boxes: Floats
-    parts: tuple[Floats, Floats]
-    transforms: NDArray[np.float64]
+def around_eye(eye: NDArray[np.float64], transforms: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Object spaces to the world's axes around the eye, (A, 4, 4) float64, of (A, 4, 4) transforms to the world."""
+    rows = transforms.copy()
+    rows[:, :3, 3] -= eye
+    rows[:, 3] = _LAST_ROW
+    return rows
 
 
-def in_view(bodies: Bodies, camera: CameraMatrices) -> NDArray[np.bool_]:
-    """False where an actor's box lies wholly beyond one side of the view, (A,)."""
-    linear = bodies.transforms[:, :3, :3]
-    half = (bodies.boxes[:, 1] - bodies.boxes[:, 0]) * 0.5
-    centre = bodies.boxes[:, 0] + half
-    sides = camera.sides[:, :3] @ linear
-    reach = (np.abs(sides) * half[:, None]).sum(axis=2)
-    origin = (bodies.transforms[:, :3, 3] - camera.eye) @ camera.sides[:, :3].T + camera.sides[:, 3]
-    inside: NDArray[np.bool_] = ((sides * centre[:, None]).sum(axis=2) + reach + origin >= 0.0).all(axis=1)
-    return inside
+def measure(
+    parts: Floats, transforms: NDArray[np.float64], camera: CameraMatrices, size_px: tuple[int, int]
+) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Whether actors are in view, and how large a displacement of one metre (object space) can be in the picture.
 
-
-def pixels_a_metre(bodies: Bodies, camera: CameraMatrices, size_px: tuple[int, int]) -> NDArray[np.float64]:
-    """Largest size in pixels that a displacement of one metre (object space) of each actor can have in the picture.
+    A linear function is largest over a box where it is that of the middle plus the absolute factors times the reach.
+    An actor is out of view where all its parts lie wholly beyond one side.
 
     A displacement `d` at view depth `z`, seen at an angle `t` off the axis, covers at most `d f / (z cos t)` pixels,
     with `f` the focal length in pixels: across the axis it covers `d f / z`, along it `d tan(t) f / z`. Depth and
@@ -97,31 +82,40 @@ def pixels_a_metre(bodies: Bodies, camera: CameraMatrices, size_px: tuple[int, i
 
     Parameters
     ----------
-    bodies : Bodies
+    parts : (A, 2, 3, P) float
+        Middles and reaches of boxes in whose convex hull an actor lies, object space.
+    transforms : (A, 4, 4) float64
+        From `around_eye`.
     camera : CameraMatrices
     size_px : width and height of the picture
 
     Returns
     -------
-    (A,) float64, infinite where the camera's plane cuts a part
+    (A,) bool, and (A,) float64, pixels a metre, infinite where the camera's plane cuts a part
     """
-    linear = bodies.transforms[:, :3, :3]
+    functions = camera.functions @ transforms
+    linear = functions[:, :, :3]
+    values: NDArray[np.float64] = np.concatenate((linear, np.abs(linear)), axis=2) @ parts.reshape(len(parts), 6, -1)
+    values += functions[:, :, 3:]
+    if camera.is_perspective:  # the squared tangent of each part, in place of one of the axes that it is made of
+        behind = np.minimum(values[:, 10:], _CUT, out=values[:, 10:])
+        tangents = np.maximum(values[:, 6:10:2], values[:, 7:10:2])
+        tangents /= behind
+        tangents *= tangents
+        np.add(tangents[:, 0], tangents[:, 1], out=values[:, 6])
+    largest = np.maximum.reduce(values, axis=2)
+    seen: NDArray[np.bool_] = np.minimum.reduce(largest[:, :6], axis=1) >= 0.0
     # The largest stretch of a matrix is at most the root of the largest row sum of its Gram matrix; equal where it
     # turns and scales evenly.
-    scale = np.sqrt(np.abs(linear.transpose(0, 2, 1) @ linear).sum(axis=2).max(axis=1)) * camera.focal_px(*size_px)
+    linear = transforms[:, :3, :3]
+    gram = np.abs(linear.transpose(0, 2, 1) @ linear)
+    stretch_sq = np.maximum.reduce(np.add.reduce(gram, axis=2), axis=1)
     if not camera.is_perspective:
-        return np.asarray(scale)
-    axes = camera.rotation @ linear
-    middles, reaches = bodies.parts
-    place = middles @ axes.transpose(0, 2, 1)
-    place += ((bodies.transforms[:, :3, 3] - camera.eye) @ camera.rotation.T)[:, None]
-    reach = reaches @ np.abs(axes).transpose(0, 2, 1)
-    depth = -(place[..., 2] + reach[..., 2])
-    aside = np.abs(place[..., :2]) + reach[..., :2]
-    nearest = depth.min(axis=1)
-    tangent_sq = ((aside**2).sum(axis=2) / np.maximum(depth, 1e-30) ** 2).max(axis=1)
-    across = np.sqrt(1.0 + np.minimum(tangent_sq, camera.widest_sq))
-    return np.where(nearest > 0.0, scale * across / np.maximum(nearest, 1e-30), np.inf)
+        return seen, np.sqrt(stretch_sq) * camera.focal_px(*size_px)
+    stretch_sq *= 1.0 + np.minimum(largest[:, 6], camera.widest_sq)
+    nearest = largest[:, 10]  # as a negative number
+    size = np.sqrt(stretch_sq) * -camera.focal_px(*size_px) / nearest
+    return seen, np.where(nearest < _CUT, size, np.inf)
 
 
 def choose_levels(
@@ -145,8 +139,8 @@ def choose_levels(
     """
     errors = monotonic_errors(errors_m)
     allowed_m = threshold_px / np.maximum(pixels_a_metre, 1e-300)
-    finest = np.searchsorted(errors, allowed_m, side="right") - 1  # NaN sorts last: nothing is known, nothing differs
-    coarser = np.searchsorted(errors, allowed_m * (1 - HYSTERESIS), side="right") - 1
+    # NaN sorts last: nothing is known, nothing differs.
+    finest, coarser = errors.searchsorted(_FINEST_AND_COARSER * allowed_m, side="right") - 1
     return np.where(previous < 0, finest, np.minimum(finest, np.maximum(coarser, previous)))
 
 

@@ -406,7 +406,7 @@ class Mixer:
     def _refresh(self, rows: Rows) -> None:
         """Bring the matrices of some rows up to date."""
         dirty = self._dirty[rows]
-        if not dirty.any():
+        if not np.count_nonzero(dirty):
             return
         stale = np.unique(rows[dirty])
         given = self._given.matrices(stale)
@@ -417,9 +417,9 @@ class Mixer:
 
     def joint_rows(self, rows: ArrayLike) -> Floats:
         """Skinning matrices of some rows, (A, J, 3, 4) float32. Computed once until a row changes."""
-        rows = np.atleast_1d(np.asarray(rows, dtype=np.int64))
+        rows = np.array(rows, dtype=np.int64, ndmin=1)
         self._refresh(rows)
-        return self._joint_rows[rows]
+        return self._joint_rows.take(rows, axis=0)
 
     def node_rows(self, row: int) -> Floats:
         """Object-space matrices of the nodes of one row, (N, 3, 4) float32."""

@@ -230,11 +230,15 @@ def _set_state(gl: Functions, view: View) -> None:
     gl.switch(gl_state.FRAMEBUFFER_SRGB, False)
     gl.switch(gl_state.SAMPLE_ALPHA_TO_COVERAGE, False)
     gl.glPolygonMode(gl_state.FRONT_AND_BACK, gl_state.FILL)
-    gl.glBlendEquationSeparate(gl_state.FUNC_ADD, gl_state.FUNC_ADD)
-    gl.glBlendFuncSeparate(gl_state.SRC_ALPHA, gl_state.ONE_MINUS_SRC_ALPHA, gl_state.ONE, gl_state.ONE_MINUS_SRC_ALPHA)
     gl.glCullFace(gl_state.BACK)
-    gl.switch(gl_state.POLYGON_OFFSET_LINE, False)
-    gl.glPolygonOffset(1.0, 1.0)
+    if view.blends:
+        gl.glBlendEquationSeparate(gl_state.FUNC_ADD, gl_state.FUNC_ADD)
+        gl.glBlendFuncSeparate(
+            gl_state.SRC_ALPHA, gl_state.ONE_MINUS_SRC_ALPHA, gl_state.ONE, gl_state.ONE_MINUS_SRC_ALPHA
+        )
+    if view.lines:
+        gl.switch(gl_state.POLYGON_OFFSET_LINE, False)
+        gl.glPolygonOffset(1.0, 1.0)
     if not view.writes_color:
         gl.glColorMask(0, 0, 0, 0)
 

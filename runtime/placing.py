@@ -6,8 +6,9 @@ Letters in shapes: A actors.
 from __future__ import annotations
 
 import math
-from collections.abc import MutableMapping
+from collections.abc import MutableMapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,8 +18,7 @@ from runtime.actor_batch import ActorBatch
 from runtime.camera import CameraMatrices
 from runtime.errors import RenderError
 from runtime.gpu_asset import Model
-from runtime.gpu_levels import INSTANCE
-from runtime.lod import Bodies, Quality, choose_levels, in_view, pixels_a_metre
+from runtime.lod import Quality, around_eye, choose_levels, measure
 
 if TYPE_CHECKING:
     from runtime.actor import Actor
@@ -32,6 +32,12 @@ class DrawnActor:
     tessellated: bool
 
 
+@lru_cache(maxsize=256)
+def _drawn_actor(level: int, tessellated: bool) -> DrawnActor:
+    """One record for all actors of which the same is said."""
+    return DrawnActor(level, tessellated)
+
+
 @dataclass(frozen=True)
 class Group:
     """Actors of one model that are drawn with one call: the same level, tessellated or not, mirrored or not.
@@ -39,21 +45,29 @@ class Group:
     Attributes
     ----------
     model : Model
-    level : int
-    tessellated, mirrored : bool
+    key : (int, bool, bool)
+        Level, tessellated, mirrored: what tells the groups of one model apart.
     records : (A, 18) float32, the words of `INSTANCE`
     """
 
     model: Model
-    level: int
-    tessellated: bool
-    mirrored: bool
+    key: tuple[int, bool, bool]
     records: NDArray[Any]
 
     @property
-    def key(self) -> tuple[int, bool, bool]:
-        """What tells the groups of one model apart."""
-        return self.level, self.tessellated, self.mirrored
+    def level(self) -> int:
+        """Level of detail."""
+        return self.key[0]
+
+    @property
+    def tessellated(self) -> bool:
+        """Whether faces are divided."""
+        return self.key[1]
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether transforms turn faces inside out."""
+        return self.key[2]
 
 
 @dataclass(frozen=True)
@@ -85,12 +99,17 @@ def refuse_broken_poses(model: Model, batch: ActorBatch) -> None:
     ------
     RenderError
     """
-    flat = batch.joint_rows.ravel()
-    if math.isfinite(float(np.dot(flat, flat))):  # one call tells of all; it may only overflow
+    if math.isfinite(np.vdot(batch.joint_rows, batch.joint_rows)):  # one call tells of all; it may only overflow
         return
     if not np.isfinite(batch.joint_rows).all():
         broken = int(np.flatnonzero(~np.isfinite(batch.joint_rows).all(axis=(1, 2, 3)))[0])
         raise RenderError(f"the pose of actor {broken} of {model.asset.name} is not finite: check what sets its joints")
+
+
+def _is_mirrored(row: Sequence[float]) -> bool:
+    """Whether a transform, given by the numbers of its upper three rows, turns things inside out."""
+    a, b, c, _, d, e, f, _, g, h, i, _ = row
+    return a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0.0
 
 
 def place(
@@ -112,42 +131,39 @@ def place(
     groups to draw, and what was decided for each actor
     """
     refuse_broken_poses(model, batch)
-    transforms = batch.transforms
-    bodies = Bodies(batch.bounds, batch.parts, transforms)
-    scale_px = pixels_a_metre(bodies, matrices, wish.size_px)
-    seen, is_auto = in_view(bodies, matrices), wish.tessellation == "auto" and wish.has_tessellation
+    transforms = around_eye(matrices.eye, batch.transforms)
+    seen, scale_px = measure(batch.parts, transforms, matrices, wish.size_px)
+    is_auto = wish.tessellation == "auto" and wish.has_tessellation
     divides = is_auto and wish.lod is None and wish.quality.prefer == "tessellation"
     errors = model.levels.divided_errors_m if divides else model.levels.errors_m
+    before = [levels_before.get(actor, -1) for actor in batch.actors]
+    tessellated = [not isinstance(wish.tessellation, str)] * len(before)
     if wish.lod is None:
-        previous = np.array([levels_before.get(actor, -1) for actor in batch.actors])
-        levels = choose_levels(errors, scale_px, wish.quality.threshold_px, previous)
+        chosen = choose_levels(errors, scale_px, wish.quality.threshold_px, np.array(before))
+        levels = chosen.tolist()
+        if divides:
+            tessellated = (chosen > 0).tolist()
     else:
-        levels = np.full(len(batch.actors), wish.lod)
-    if not isinstance(wish.tessellation, str):
-        tessellated = np.ones(len(levels), bool)
-    elif divides:
-        tessellated = levels > 0
-    elif is_auto and wish.lod:
-        tessellated = np.minimum(scale_px, 1e300) * errors[levels] > wish.quality.threshold_px
-    else:
-        tessellated = np.zeros(len(levels), bool)
-    drawn = {}
-    for actor, level, is_seen, divided in zip(batch.actors, levels.tolist(), seen.tolist(), tessellated.tolist()):
-        if is_seen and wish.lod is None:
+        levels = [wish.lod] * len(before)
+        if is_auto and wish.lod:
+            tessellated = (np.minimum(scale_px, 1e300) * errors[wish.lod] > wish.quality.threshold_px).tolist()
+    drawn: dict[Actor, DrawnActor] = {}
+    members: dict[tuple[int, bool, bool], list[int]] = {}
+    rows = transforms.reshape(-1, 16)[:, :12]
+    together = zip(batch.actors, seen.tolist(), levels, tessellated, rows.tolist(), before)
+    for index, (actor, is_seen, level, divided, row, level_before) in enumerate(together):
+        drawn[actor] = _drawn_actor(level if is_seen else -1, divided)
+        if not is_seen:
+            continue
+        members.setdefault((level, divided, _is_mirrored(row)), []).append(index)
+        if wish.lod is None and level != level_before:
             levels_before[actor] = level
-        drawn[actor] = DrawnActor(level if is_seen else -1, divided)
-    if not seen.any():
+    if not members:
         return [], drawn
-    records = np.empty((len(levels), INSTANCE.itemsize // 4), np.float32)
-    records[:, :12] = transforms[:, :3].reshape(-1, 12)
-    records[:, 3:12:4] = transforms[:, :3, 3] - matrices.eye
-    records[:, 12:16] = batch.tints
-    numbers = records.view(np.int32)
-    numbers[:, 16] = np.arange(len(levels))
-    numbers[:, 17] = levels
-    keys = levels * 4 + tessellated * 2 + (np.linalg.det(transforms[:, :3, :3]) < 0)
-    groups = []
-    for key in sorted(set(keys[seen].tolist())):
-        together = records[seen & (keys == key)]
-        groups.append(Group(model, key >> 2, bool(key & 2), bool(key & 1), together))
+    numbers = np.array([*enumerate(levels)], np.int32).view(np.float32)
+    records = np.concatenate((rows, batch.tints, numbers), axis=1, dtype=np.float32)
+    groups = [
+        Group(model, key, records if len(indices) == len(records) else records[indices])
+        for key, indices in sorted(members.items())
+    ]
     return groups, drawn

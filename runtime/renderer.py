@@ -11,7 +11,7 @@ import weakref
 from collections.abc import Iterable, Mapping
 from numbers import Integral
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import moderngl
 import numpy as np
@@ -212,8 +212,11 @@ class Renderer(NotCopied):
             raise RenderError(f"uniforms must be a mapping of names to values, not {shown(uniforms)}")
         factor = self._checked_tessellation(tessellation)
         things = self._listed(actors)
-        crowds = [cast(DrawsItself, thing) for thing in things if hasattr(thing, "draw_in")]
-        batches = gather(thing for thing in things if not hasattr(thing, "draw_in"))
+        crowds: list[DrawsItself] = []
+        singles: list[Actor] = []
+        for thing in things:
+            (crowds if hasattr(thing, "draw_in") else singles).append(thing)
+        batches = gather(singles)
         for model, _ in batches:
             self._check_model(model, lod)
         look = Look(view, self._views[view], dict(uniforms or {}), factor, self.quality.texels_a_segment)
@@ -256,7 +259,10 @@ class Renderer(NotCopied):
     @staticmethod
     def _listed(actors: Any) -> tuple[Any, ...]:
         """What is to be drawn, one by one."""
-        things = (actors,) if hasattr(actors, "visible") or not isinstance(actors, Iterable) else tuple(actors)
+        if isinstance(actors, list | tuple):
+            things = tuple(actors)
+        else:
+            things = (actors,) if hasattr(actors, "visible") or not isinstance(actors, Iterable) else tuple(actors)
         for thing in things:
             if not hasattr(thing, "visible"):
                 raise RenderError(f"only actors and crowds can be drawn, not {shown(thing)}")
@@ -286,7 +292,7 @@ class Renderer(NotCopied):
     def _check_model(self, model: Any, lod: int | str) -> None:
         if model.ctx is not self.ctx:
             raise RenderError(f"the model {model.asset.name} belongs to another context than the renderer")
-        model.require_usable()
+        model.require_uploaded()
         if lod != "auto" and not (is_whole(lod) and 0 <= int(lod) < len(model.lods)):
             raise RenderError(f"{model.asset.name} has no level of detail {lod!r}: auto or 0 to {len(model.lods) - 1}")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import subprocess
 import sys
@@ -20,6 +21,16 @@ from runtime.errors import RenderError
 from runtime.gpu_asset import Model
 from runtime.renderer import Renderer
 from runtime.views import VIEWS
+
+
+def uniform_binding(gl: gl_state.Functions, binding: int) -> tuple[int, int, int]:
+    """Buffer, start and size (0: all of it) at a uniform buffer binding point."""
+    buffer, place = ctypes.c_int(), ctypes.c_int64()
+    gl.glGetIntegeri_v(gl_state.UNIFORM_BUFFER_BINDING, binding, ctypes.byref(buffer))
+    gl.glGetInteger64i_v(gl_state.UNIFORM_BUFFER_START, binding, ctypes.byref(place))
+    start = place.value
+    gl.glGetInteger64i_v(gl_state.UNIFORM_BUFFER_SIZE, binding, ctypes.byref(place))
+    return buffer.value, start, place.value
 
 
 def driver_state(gl: gl_state.Functions) -> dict[str, Any]:
@@ -43,7 +54,7 @@ def driver_state(gl: gl_state.Functions) -> dict[str, Any]:
         state[f"unit {unit}"] = gl.integer(gl_state.TEXTURE_BINDING_2D), gl.integer(gl_state.SAMPLER_BINDING)
     gl.glActiveTexture(active)
     for binding in range(4):
-        state[f"block {binding}"] = gl_state._uniform_binding(gl, binding)
+        state[f"block {binding}"] = uniform_binding(gl, binding)
     return state
 
 
