@@ -28,8 +28,9 @@ class ActorBatch:
     actors : tuple of A Actor
     transforms : (A, 4, 4) float64
     joint_rows : (A, J, 3, 4) float32, contiguous
-    parts : (A, 2, 3, P) float32
-        Middles and reaches of boxes, one a joint that moves anything, in whose convex hull the pose lies, object space.
+    parts : (A, 3, 4, P) float32
+        Boxes in whose convex hull the pose lies, one a joint that moves anything, object space: three half edges and
+        the middle of each, as columns.
     tints : (A, 4) float32
     """
 
@@ -86,7 +87,7 @@ def gather(actors: Iterable[Actor]) -> list[tuple[Any, ActorBatch]]:
         rows = model.mixer.joint_rows([actor.row for actor in group])
         parts = carrier_of(model).carried(rows)
         if not parts.shape[3]:
-            parts = np.zeros((len(rows), 2, 3, 1), rows.dtype)
+            parts = np.zeros((len(rows), 3, 4, 1), rows.dtype)
         batch = ActorBatch(
             actors=tuple(group),
             transforms=transforms,

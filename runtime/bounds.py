@@ -96,20 +96,25 @@ class JointBoxes:
         self.used = np.flatnonzero(np.isfinite(boxes).all(axis=(1, 2)))
         # Where a joint's 3 x 4 words lie in a pose. Joints come last in all that follows: inner loops are long then.
         self._words = np.arange(12).reshape(3, 4, 1) + 12 * self.used
-        factors = np.zeros((2, 1, 4, len(self.used)))  # of middles, with a one for the translation, and of reaches
-        factors[0, 0, :3] = boxes[self.used].mean(axis=1).T
-        factors[0, 0, 3] = 1.0
-        factors[1, 0, :3] = np.ptp(boxes[self.used], axis=1).T / 2
+        factors = np.zeros((2, 4, len(self.used)))  # of half edges and the translation, and of what moves the middle
+        factors[0, :3] = np.ptp(boxes[self.used], axis=1).T / 2
+        factors[0, 3] = 1.0
+        factors[1, :3] = boxes[self.used].mean(axis=1).T
         self._exact, self._single = factors, factors.astype(np.float32)
 
     def carried(self, matrices: Floats) -> Floats:
-        """Boxes of the joints that move something, carried by (A, J, 3, 4) matrices: middle and reach, (A, 2, 3, P)."""
+        """Boxes of the joints that move something, carried by (A, J, 3, 4) matrices, turned as these turn them.
+
+        Returns
+        -------
+        (A, 3, 4, P)
+            Three half edges and the middle of each, as columns.
+        """
         words = matrices.reshape(len(matrices), -1).take(self._words, axis=1)
-        terms = np.empty((len(words), 2, *self._words.shape), words.dtype)
-        terms[:, 0] = words
-        np.abs(words, out=terms[:, 1])
-        terms *= self._single if words.dtype == np.float32 else self._exact
-        parts: Floats = np.add.reduce(terms, axis=3)
+        edges, middles = self._single if words.dtype == np.float32 else self._exact
+        parts: Floats = words * edges
+        words *= middles
+        parts[:, :, 3] += np.add.reduce(words, axis=2)
         return parts
 
     def around(self, matrices: Floats) -> Floats:
@@ -117,12 +122,18 @@ class JointBoxes:
         return box_around(self.carried(matrices))
 
 
+def upright_boxes(parts: Floats) -> tuple[Floats, Floats]:
+    """Lowest and highest corner of what holds each of boxes that are turned, (A, 3, 4, P): (A, 3, P) each."""
+    middles, reaches = parts[:, :, 3], np.abs(parts[:, :, :3]).sum(axis=2)
+    return middles - reaches, middles + reaches
+
+
 def box_around(parts: Floats) -> Floats:
-    """What holds all boxes of each body, given by middle and reach, (A, 2, 3, P): (A, 2, 3), zeros where P is 0."""
+    """What holds all boxes of each body, (A, 3, 4, P): (A, 2, 3), zeros where P is 0."""
     if not parts.shape[3]:
-        return np.zeros(parts.shape[:3], parts.dtype)
-    middles, reaches = parts[:, 0], parts[:, 1]
-    return np.stack([(middles - reaches).min(axis=2), (middles + reaches).max(axis=2)], axis=1)
+        return np.zeros((len(parts), 2, 3), parts.dtype)
+    low, high = upright_boxes(parts)
+    return np.stack([low.min(axis=2), high.max(axis=2)], axis=1)
 
 
 def pose_bounds(matrices: Floats, boxes: NDArray[np.float64]) -> Floats:
@@ -294,10 +305,8 @@ def clip_bounds(skeleton: Skeleton, clip: Clip, boxes: NDArray[np.float64]) -> N
     for doubling in range(_MAX_DOUBLINGS + 1):
         starts, ends = _sample_times(clip, 2**doubling)
         first, last = (
-            np.stack([parts[:, 0] - parts[:, 1], parts[:, 0] + parts[:, 1]], axis=1)
-            for parts in (
-                carrier.carried(skinning_rows(skeleton, sample(clip, skeleton, times))) for times in (starts, ends)
-            )
+            np.stack(upright_boxes(carrier.carried(skinning_rows(skeleton, sample(clip, skeleton, times)))), axis=1)
+            for times in (starts, ends)
         )
         accelerations, radii = _accelerations(skeleton, clip, (starts + ends) / 2, reaches)
         stray = np.minimum((ends - starts) ** 2 / 8 * accelerations, 2 * radii)[used].T[:, None]

@@ -73,8 +73,8 @@ def measure(
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
     """Whether actors are in view, and how large a displacement of one metre (object space) can be in the picture.
 
-    A linear function is largest over a box where it is that of the middle plus the absolute factors times the reach.
-    An actor is out of view where all its parts lie wholly beyond one side.
+    A linear function's largest value over a box is that of the middle, and as much more as it gains along each half
+    edge, this way or that. An actor is out of view where all its parts lie wholly beyond one side.
 
     A displacement `d` at view depth `z`, seen at an angle `t` off the axis, covers at most `d f / (z cos t)` pixels,
     with `f` the focal length in pixels: across the axis it covers `d f / z`, along it `d tan(t) f / z`. Depth and
@@ -82,8 +82,8 @@ def measure(
 
     Parameters
     ----------
-    parts : (A, 2, 3, P) float
-        Middles and reaches of boxes in whose convex hull an actor lies, object space.
+    parts : (A, 3, 4, P) float
+        Boxes in whose convex hull an actor lies, object space: three half edges and the middle of each, as columns.
     transforms : (A, 4, 4) float64
         From `around_eye`.
     camera : CameraMatrices
@@ -94,8 +94,9 @@ def measure(
     (A,) bool, and (A,) float64, pixels a metre, infinite where the camera's plane cuts a part
     """
     functions = camera.functions @ transforms
-    linear = functions[:, :, :3]
-    values: NDArray[np.float64] = np.concatenate((linear, np.abs(linear)), axis=2) @ parts.reshape(len(parts), 6, -1)
+    along = (functions[:, :, :3] @ parts.reshape(len(parts), 3, -1)).reshape(*functions.shape, -1)
+    np.abs(along[:, :, :3], out=along[:, :, :3])
+    values: NDArray[np.float64] = np.add.reduce(along, axis=2)
     values += functions[:, :, 3:]
     if camera.is_perspective:  # the squared tangent of each part, in place of one of the axes that it is made of
         behind = np.minimum(values[:, 10:], _CUT, out=values[:, 10:])

@@ -36,17 +36,22 @@ def random_cameras(count: int, seed: int = 5) -> Iterator[Camera]:
 
 @dataclasses.dataclass(frozen=True)
 class Bodies:
-    """Actors: their parts' boxes (A, 2, 3, P), and where they are (A, 4, 4)."""
+    """Actors: their parts' boxes (A, 3, 4, P), and where they are (A, 4, 4)."""
 
     parts: np.ndarray
     transforms: np.ndarray
+
+
+def upright(middles: np.ndarray, reaches: np.ndarray) -> np.ndarray:
+    """Parts of boxes along the axes, from (A, 3, P) each."""
+    return np.concatenate([np.eye(3)[:, :, None] * reaches[:, :, None], middles[:, :, None]], axis=2)
 
 
 def bodies_of(boxes: np.ndarray, transforms: np.ndarray | None = None) -> Bodies:
     """Actors that are their boxes."""
     half = np.ptp(boxes, axis=1) / 2
     where = np.tile(np.eye(4), (len(boxes), 1, 1)) if transforms is None else transforms
-    return Bodies(np.stack([boxes[:, 0] + half, half], axis=1)[..., None], where)
+    return Bodies(upright((boxes[:, 0] + half)[..., None], half[..., None]), where)
 
 
 def measured(bodies: Bodies, camera: CameraMatrices, size_px: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -121,7 +126,7 @@ def test_parts_bound_their_hull_and_no_more_than_the_box() -> None:
         box = np.stack([(middles - reaches).min(axis=1), (middles + reaches).max(axis=1)], axis=1)
         matrices = camera.matrices(320, 200)
         whole = pixels_a_metre(bodies_of(box), matrices, (320, 200))[0]
-        boxes = np.stack([middles, reaches], axis=1).transpose(0, 1, 3, 2)
+        boxes = upright(middles.transpose(0, 2, 1), reaches.transpose(0, 2, 1))
         parts = pixels_a_metre(Bodies(boxes, np.eye(4)[None]), matrices, (320, 200))[0]
         assert parts <= whole * (1 + 1e-9)
         tighter.append(parts / whole if np.isfinite(whole) else 1.0)
@@ -137,9 +142,9 @@ def test_parts_bound_their_hull_and_no_more_than_the_box() -> None:
 
 
 def measured_by_corners(body: np.ndarray, transform: np.ndarray, camera: CameraMatrices) -> tuple[bool, float]:
-    """The slow twin of `measure` for one actor, parts (2, 3, P), in a picture of 320 x 200."""
-    signs = np.array(list(itertools.product((-1, 1), repeat=3)))
-    corners = body[0].T[:, None] + signs * body[1].T[:, None]
+    """The slow twin of `measure` for one actor, parts (3, 4, P), in a picture of 320 x 200."""
+    signs = np.array([(*along, 1) for along in itertools.product((-1, 1), repeat=3)])
+    corners = np.einsum("ikp,ck->pci", body, signs)
     view = (corners @ transform[:3, :3].T + transform[:3, 3] - camera.eye) @ camera.rotation.T
     clip = view @ camera.projection[:, :3].T + camera.projection[:, 3]
     beyond = [(side * clip[..., axis] > clip[..., 3]).all() for axis in range(3) for side in (1, -1)]
@@ -167,8 +172,8 @@ def test_many_bodies_are_measured_as_one_by_one_by_their_corners(perspective: bo
             matrices = CameraMatrices(matrices.eye, matrices.rotation, projection)
         transforms = rng.normal(size=(6, 4, 4))  # the last row says nothing
         transforms[:, :3, 3] *= 4
-        parts = np.abs(rng.normal(size=(6, 2, 3, 5))) * 0.4
-        parts[:, 0] = rng.normal(size=(6, 3, 5))
+        parts = rng.normal(size=(6, 3, 4, 5)) * 0.2  # turned, and sheared
+        parts[:, :, 3] = rng.normal(size=(6, 3, 5))
         seen, scale_px = measured(Bodies(parts, transforms), matrices, (320, 200))
         wanted = [measured_by_corners(body, where, matrices) for body, where in zip(parts, transforms)]
         assert seen.tolist() == [one for one, _ in wanted]
@@ -182,7 +187,7 @@ def test_parts_are_seen_no_more_often_than_the_box_around_them() -> None:
     fewer = 0
     for camera in random_cameras(60, seed=32):
         matrices = camera.matrices(320, 200)
-        parts = np.stack([rng.normal(size=(8, 3, 4)) * 3, rng.uniform(0.05, 0.3, (8, 3, 4))], axis=1)
+        parts = upright(rng.normal(size=(8, 3, 4)) * 3, rng.uniform(0.05, 0.3, (8, 3, 4)))
         seen = in_view(Bodies(parts, transforms := np.linalg.qr(rng.normal(size=(8, 4, 4)))[0]), matrices)
         whole = in_view(bodies_of(box_around(parts), transforms), matrices)
         assert (seen <= whole).all()
