@@ -8,6 +8,7 @@ import moderngl
 import numpy as np
 import pytest
 
+from runtime.camera import Camera
 from runtime.environment import MAP_SIZE, NUM_LEVELS, REACH, Environment, Lighting
 from runtime.frame_block import FrameBlock
 from runtime.gpu_textures import TEXTURE_UNITS
@@ -23,6 +24,7 @@ from runtime.light_map import (
     mirrored_light,
     tile_corner,
 )
+from runtime.lod import Quality
 from runtime.programs import build_program, set_uniforms
 
 SIDE = 64
@@ -44,6 +46,17 @@ SHARE_PROBE = """
 in vec2 picture_place;
 out vec4 result;
 void main() { result = vec4(reflected_share(picture_place.x * 0.5 + 0.5, picture_place.y * 0.5 + 0.5), 0.0, 1.0); }
+"""
+TONE_PROBE = """
+#include "lighting.glsl"
+in vec2 picture_place;
+uniform float exponent;  // of the brightest light
+out vec4 result;
+void main() {
+    float hue = picture_place.x * 0.5 + 0.5;
+    vec3 color = vec3(1.0, hue, hue * hue) * pow(10.0, mix(-3.0, exponent, picture_place.y * 0.5 + 0.5));
+    result = vec4(tone_map(color / sun_color.w), 1.0);
+}
 """
 
 
@@ -94,7 +107,9 @@ def studio() -> Environment:
 
 @pytest.fixture
 def frame(ctx: moderngl.Context, studio: Environment) -> object:
-    made = FrameBlock(ctx, Lighting(environment=studio))
+    lighting = Lighting(environment=studio)
+    made = FrameBlock(ctx, lighting)
+    made.write(Camera((0, 0, 3)).matrices(SIDE, SIDE), (SIDE, SIDE), lighting, Quality(), 0.0)
     made.bind()
     yield made
     made.release()
@@ -178,3 +193,25 @@ def test_the_mirrored_share_is_near_its_integral(ctx: moderngl.Context, frame: F
     assert off[..., 0].max() < 0.11 and off[..., 1].max() < 0.06
     assert off[:, SIDE // 4 :].max() < 0.07  # but for grazing angles
     assert off.mean() < 0.015
+
+
+@pytest.mark.parametrize("exponent", [1.0, 7.0])
+def test_tones_are_mapped_as_one_would_without_sharing_a_division(
+    ctx: moderngl.Context, frame: FrameBlock, exponent: float
+) -> None:
+    found = probe(ctx, TONE_PROBE, {"exponent": exponent})[..., :3]
+    places = (np.arange(SIDE) + 0.5) / SIDE
+    hue, power = np.meshgrid(places, -3 + (exponent + 3) * places)
+    color = np.stack([np.ones_like(hue), hue, hue * hue], axis=-1) * 10.0 ** power[..., None]
+    peak = color.max(axis=-1, keepdims=True)
+    over = np.maximum(peak - 0.72, 0)
+    mapped = np.minimum(peak, 0.72) + 0.28 * over / (over + 0.28)
+    lost = 0.15 * (peak - mapped)
+    shown = (color * mapped / peak + mapped * lost) / (1 + lost)
+    encoded = np.where(shown <= 0.0031308, shown * 12.92, 1.055 * shown ** (1 / 2.4) - 0.055)
+    assert np.abs(found - encoded).max() < 0.15 / 255
+
+
+def test_the_brightest_light_is_white(ctx: moderngl.Context, frame: FrameBlock) -> None:
+    found = probe(ctx, TONE_PROBE, {"exponent": 30.0})[SIDE // 2 :, :, :3]
+    assert np.isfinite(found).all() and found.min() > 0.99

@@ -124,12 +124,13 @@ vec3 tone_map(vec3 radiance) {
     const float linear_part = 0.72;
     const float shoulder = 1.0 - linear_part;
     vec3 color = radiance * sun_color.w;
-    float peak = max(max(color.r, color.g), max(color.b, 1e-6));
+    float peak = clamp(max(max(color.r, color.g), color.b), 1e-6, 1e8);
     float over = max(peak - linear_part, 0.0);
-    float mapped = min(peak, linear_part) + shoulder * over / (over + shoulder);
-    float lost = 0.15 * (peak - mapped);
-    float scale = 1.0 / (1.0 + lost);  // the rest is white
-    return encode_srgb(color * (scale * mapped / peak) + mapped * lost * scale);
+    float below = over + shoulder;
+    float mapped = min(peak, linear_part) * below + shoulder * over;  // peak after the shoulder, times `below`
+    float lost = 0.15 * (peak * below - mapped);                      // so is this
+    float share = mapped / (peak * below * (below + lost));
+    return encode_srgb(color * (share * below) + share * lost * peak);  // what is lost turns white
 }
 
 #endif
