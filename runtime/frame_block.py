@@ -9,9 +9,9 @@ import moderngl
 import numpy as np
 
 from runtime.camera import CameraMatrices
-from runtime.environment import Lighting, map_directions
-from runtime.gl_state import allocate_mips, write_rows
+from runtime.environment import Lighting
 from runtime.gpu_textures import TEXTURE_UNITS
+from runtime.light_map import light_map
 from runtime.lod import Quality
 
 FRAME_BINDING = 0
@@ -38,21 +38,14 @@ class FrameBlock:
         self.upload_lighting(lighting)
 
     def upload_lighting(self, lighting: Lighting) -> None:
-        """Fill the map of light by direction: mirrored light above, in all levels, and light on a white sheet below."""
-        environment = lighting.environment
-        upper = [level.astype(np.float32) for level in environment.levels]
-        diffuse = environment.diffuse_light(map_directions(len(upper[0]))).astype(np.float32)
-        levels = [np.concatenate([half, diffuse if level == 0 else half]) for level, half in enumerate(upper)]
+        """Fill the map of light by direction."""
+        texels = light_map(lighting.environment)
         if self._reflection is None:
-            rows, columns = levels[0].shape[:2]
+            rows, columns, _ = texels.shape
             self._reflection = self.ctx.texture((columns, rows), 3, dtype="f4", internal_format=RGB9_E5)
-            self._reflection.use(self.ctx.default_texture_unit)
-            allocate_mips((columns, rows), len(levels) - 1)
-            self._reflection.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+            self._reflection.filter = (moderngl.LINEAR, moderngl.LINEAR)
             self._reflection.repeat_x = self._reflection.repeat_y = False
-        self._reflection.use(self.ctx.default_texture_unit)
-        for level, texels in enumerate(levels):
-            write_rows(texels, level, 0)
+        self._reflection.write(texels)
 
     def write(
         self, matrices: CameraMatrices, size_px: tuple[int, int], lighting: Lighting, quality: Quality, factor: float

@@ -205,6 +205,7 @@ def what_it_lacks(model: Model, material: MaterialData) -> tuple[str, ...]:
         *(("NO_CUTOUT",) if material.alpha_mode != "MASK" else ()),
         *(("NO_BLEND",) if material.alpha_mode != "BLEND" else ()),
         *(("NO_FACTOR",) if material.base_color_factor == (1.0, 1.0, 1.0, 1.0) else ()),
+        *(("NO_ROUGHNESS_FACTOR",) if material.roughness_factor == 1.0 else ()),
         *(("NO_EMISSION",) if not any(material.emissive_factor) else ()),
         *(("NO_METAL",) if not material.metallic_factor else ()),
         *(("ONE_SIDED",) if not material.double_sided else ()),

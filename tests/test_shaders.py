@@ -33,7 +33,7 @@ LACKS = [
     {"UNLIT": 1, "NO_BLEND": 1},
     {**SOLID, "ONE_SIDED": 1, "FLOAT_NORMALS": 1},
     {**SOLID, "NO_ORM": 1, "ROUGHNESS_IN_COLOR": 1, "METALLIC_IN_NORMAL": 1, "NO_OCCLUSION": 1},
-    {**SOLID, "NO_ORM": 1, "OCCLUSION_IN_NORMAL": 1, "NO_METAL": 1, "NO_FACTOR": 1},
+    {**SOLID, "NO_ORM": 1, "OCCLUSION_IN_NORMAL": 1, "NO_METAL": 1, "NO_FACTOR": 1, "NO_ROUGHNESS_FACTOR": 1},
     {**SOLID, "NO_ORM": 1, "NO_OCCLUSION": 1, "NO_METAL": 1, "NO_FACTOR": 1, "ONE_SIDED": 1},
 ]
 STAGE_FILES = sorted(path.name for path in SHADERS.iterdir() if path.suffix[1:] in SHADER_STAGES)

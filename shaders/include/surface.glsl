@@ -31,8 +31,8 @@ uniform vec3 emissive_factor;
 uniform bool surface_blended;
 
 // Programs for materials that lack a thing are compiled without it: NO_CUTOUT (alpha mode MASK), NO_BLEND (alpha mode
-// BLEND), NO_FACTOR (a base colour factor), NO_EMISSION, NO_OCCLUSION, NO_METAL, NO_ORM (an occlusion-roughness-metallic
-// texture), ONE_SIDED. UNLIT materials have a colour alone. What varies of occlusion, roughness and metallic may lie in
+// BLEND), NO_FACTOR (a base colour factor), NO_ROUGHNESS_FACTOR, NO_EMISSION, NO_OCCLUSION, NO_METAL, NO_ORM (an
+// occlusion-roughness-metallic texture), ONE_SIDED. UNLIT materials have a colour alone. What varies of occlusion, roughness and metallic may lie in
 // alpha channels (runtime/material_channels.py): ROUGHNESS_IN_COLOR, OCCLUSION_IN_NORMAL, METALLIC_IN_NORMAL. A driver
 // that runs shaders on the processor reads every uniform anew in every invocation: there are few on purpose.
 
@@ -141,7 +141,11 @@ Surface read_surface() {
 #else
     s.occlusion = 1.0 + surface_factors.x * (orm.r - 1.0);
 #endif
+#ifdef NO_ROUGHNESS_FACTOR
+    s.roughness = max(orm.g, 0.045);
+#else
     s.roughness = max(orm.g * surface_factors.y, 0.045);
+#endif
 #ifdef NO_METAL
     s.metallic = 0.0;
 #else
