@@ -1,7 +1,7 @@
 """Decimation as a stage: a chain of levels in one continuous run (paper, section 5; method, section 5).
 
 Each level is a simplification of the one before: the run goes on from full detail to the floor, and what is left at
-each target is kept. The automatic chain halves the faces from level to level, in two steps where they are few.
+each target is kept. The automatic chain halves the faces from level to level, in three steps where they are few.
 """
 
 from __future__ import annotations
@@ -29,8 +29,9 @@ log = logging.getLogger(__name__)
 MIN_SAVING_REL = 0.2
 # A level whose error is this share of a coarser one's or more is not worth its bytes either.
 AS_NEAR_REL = 0.9
-# With at most so many faces there is a level between each and its half: most actors of a crowd are drawn with these.
+# With at most so many faces there are two levels between each and its half: most actors of a crowd are drawn so.
 FEW_FACES = 4000
+STEPS_TO_HALF = 3
 # Levels with at most this share of the faces are polished; above it witnesses are too few to tell more than quadrics.
 POLISH_BELOW_REL = 0.3
 # A level above it is polished where a face has so many witnesses, if that lowers its largest error.
@@ -39,6 +40,8 @@ DENSE_WITNESSES = 5
 NEAR_FLOOR_REL = 1.5
 # No relaxed level whose error is this share of the longest extent: where it were used, the character is two pixels.
 MAX_ERROR_REL = 0.5
+# Faces of each relaxed level, of the one before.
+RELAXED_SHARE = math.sqrt(0.5)
 # Allowances tried for a relaxed level, as multiples of what the level before would be allowed.
 RELAXED_GROWTHS = (1.5, 2.5)
 
@@ -52,7 +55,8 @@ def _targets(num_faces: int, options: DecimateOptions) -> list[int]:
         return sorted({max(1, round(ratio * num_faces)) for ratio in options.ratios}, reverse=True)
     levels = max(0, math.floor(math.log2(max(num_faces / max(options.min_faces, 1), 1.0))))
     halved = [num_faces / 2**level for level in range(levels + 2)]
-    between = [faces / math.sqrt(2) for faces in halved[1:-1] if faces <= FEW_FACES]
+    steps = [2.0 ** (step / STEPS_TO_HALF) for step in range(1, STEPS_TO_HALF)]
+    between = [faces / step for faces in halved[1:-1] for step in steps if faces <= FEW_FACES]
     return sorted({max(1, round(faces)) for faces in (*halved, *between)}, reverse=True)
 
 
@@ -216,9 +220,7 @@ def _relaxed_attempt(engine: Engine, error_m: float, target: int, options: Decim
     return _Attempt(copy, *dropped)
 
 
-def _relaxed_levels(
-    engine: Engine, reference: Reference, finest: Lod, targets: list[int], options: DecimateOptions
-) -> list[Lod]:
+def _relaxed_levels(engine: Engine, reference: Reference, finest: Lod, options: DecimateOptions) -> list[Lod]:
     """Levels below the exact floor, each with seams that stray by less than can be seen where it is used.
 
     A level is used where its error is about a pixel, and the mip level there has texels of about a pixel, so half a
@@ -230,10 +232,11 @@ def _relaxed_levels(
     lods: list[Lod] = []
     last, dropped = finest, 0
     largest_m = MAX_ERROR_REL * float(np.ptp(reference.surface.positions, axis=0).max())
-    for target in targets:
+    target = finest.num_faces * RELAXED_SHARE
+    while target >= options.min_faces * RELAXED_SHARE:
         best, best_lod = None, last
         for growth in (1.0, *RELAXED_GROWTHS):
-            tried = _relaxed_attempt(engine, growth * last.error_m, target, options)
+            tried = _relaxed_attempt(engine, growth * last.error_m, round(target), options)
             strayed_uv = tried.engine.deviation_uv
             error_m = max(last.error_m, strayed_uv * engine.metres_per_uv / options.relaxed_px, tried.size_m)
             score = best_lod.error_m * best_lod.num_faces if best else np.inf
@@ -244,6 +247,7 @@ def _relaxed_levels(
             lod = _measured(reference, tried.engine.snapshot(), error_m)
             if lod.error_m <= largest_m and lod.error_m * lod.num_faces < score:
                 best, best_lod = tried, lod
+        target *= RELAXED_SHARE
         if best is None:
             continue
         engine, dropped = best.engine, dropped + best.num_dropped
@@ -309,10 +313,11 @@ def decimate(
     near_floor = NEAR_FLOOR_REL * engine.predict_floor() if may_relax else 0
     lods: list[Lod] = []
     relaxed: list[Lod] = []
-    targets = _targets(engine.num_faces, options)
     floor, blocked = -1, {}
-    for position, target in enumerate(targets):
-        before = engine.copy() if lods and target < near_floor else None
+    above_floor: tuple[Engine, Lod] | None = None
+    for target in _targets(engine.num_faces, options):
+        if above_floor is None and lods and target < near_floor:
+            above_floor = engine.copy(), lods[-1]
         level = _next_level(engine, reference, target, near_floor)
         engine = level.engine
         last_error = lods[-1].error_m if lods else 0.0
@@ -322,13 +327,12 @@ def decimate(
             lods.append(_with_distances(level.lod, level.distances or measure(reference, level.lod), last_error))
         if engine.num_faces > target:
             floor, blocked = engine.num_faces, engine.blocked()
-            if before is not None:
+            if above_floor is not None:
                 # The last steps to the floor take what is left, at any cost; relaxed levels start before them.
-                start = lods[-2] if lods[-1].num_faces == floor and len(lods) > 1 else lods[-1]
-                relaxed = _relaxed_levels(before, reference, start, targets[position:], options)
+                before, finest = above_floor
+                relaxed = _relaxed_levels(before, reference, finest, options)
+                relaxed = [lod for lod in relaxed if lod.num_faces < floor]
             break
-    if relaxed and lods[-1].num_faces == floor and lods[-1].error_m >= relaxed[0].error_m:
-        lods.pop()  # as coarse to look at, with more faces
     if options.ratios is None:
         lods, relaxed = _useful(lods, relaxed)
     warnings = list(engine.repairs.warnings())

@@ -18,7 +18,7 @@ from preprocess.decimate.lod import Lod
 from preprocess.decimate.measure import Distances, Reference, measure
 from preprocess.mesh import Floats
 
-TRIES = 3
+TRIES = 2
 # Spots up to this share of the largest distance are near enough: their weights stay.
 EASY_REL = 0.6
 # A witness takes the worst of so many samples around it.

@@ -22,7 +22,7 @@ from preprocess.decimate.topology import HalfEdges
 from preprocess.mesh import Floats
 
 # Poses in which witnesses are followed, besides the bind pose: those that stretch the surface most.
-MAX_POSES = 4
+MAX_POSES = 6
 # Square of the share by which a shift along the surface counts, and how quickly it rises where the surface bends.
 SLIP = 0.03
 SLIP_PER_BEND = 2.0
