@@ -48,19 +48,6 @@ class LodMesh:
     normal_uvs: NDArray[np.float32] | None = None
 
 
-def _morton_order(uvs: NDArray[np.float32], triangles: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Order of the triangles along a Z-curve over the atlas: neighbours fetch neighbouring texels."""
-    middles = uvs[triangles].mean(axis=1)
-    cells = np.clip(middles * 1024.0, 0, 1023).astype(np.uint32)
-    code = np.zeros(len(cells), np.uint32)
-    for axis in range(2):
-        spread = cells[:, axis]
-        for shift, mask in ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
-            spread = (spread | (spread << np.uint32(shift))) & np.uint32(mask)
-        code |= spread << np.uint32(axis)
-    return np.argsort(code, kind="stable")
-
-
 def _merge_vertices(
     vertices: NDArray[np.float32], triangles: NDArray[np.int64]
 ) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
@@ -100,29 +87,27 @@ def _read_lod(document: Document, mesh_index: Any, where: str, error_m: float) -
     all_triangles: list[NDArray[np.int64]] = []
     draws: list[DrawRange] = []
     num_vertices = first = 0
-    places: dict[tuple[int | None, ...], tuple[int, int]] = {}  # of a primitive's arrays: which, and its first vertex
+    starts: dict[tuple[int | None, ...], int] = {}  # where a primitive's arrays begin
     for primitive in document.item("meshes", mesh_index).get("primitives", []):
         attributes = primitive.get("attributes", {})
         if "TEXCOORD_0" not in attributes or "_OWNER_UV" not in attributes or "indices" not in primitive:
             raise AssetError(f"{where} has no TEXCOORD_0, _OWNER_UV or indices: {REBUILD}")
         own, second = attributes["TEXCOORD_0"], attributes.get("TEXCOORD_1")
         key = (own, attributes["_OWNER_UV"], None if second == own else second)
-        if key not in places:
-            places[key] = len(arrays), num_vertices
+        if key not in starts:
+            starts[key] = num_vertices
             arrays.append(_read_vertices(document, key, where))
             num_vertices += len(arrays[-1])
-        array, start = places[key]
+        start = starts[key]
         indices = document.accessor(primitive["indices"]).astype(np.int64)
         if len(indices) % 3 or (len(indices) and indices.max() >= num_vertices - start):
             raise AssetError(f"{where} has triangles of vertices that do not exist: {REBUILD}")
-        triangles = indices.reshape(-1, 3)
-        triangles = triangles[_morton_order(arrays[array][:, 2:4], triangles)]
-        all_triangles.append(triangles + start)
+        all_triangles.append(indices.reshape(-1, 3) + start)
         draws.append(DrawRange(first, len(indices) // 3, int(primitive.get("material", -1))))
         first += len(indices) // 3
     if not first:
         raise AssetError(f"{where} has no triangles: {REBUILD}")
-    has_normal_uvs = any(key[2] is not None for key in places)
+    has_normal_uvs = any(key[2] is not None for key in starts)
     vertices = np.concatenate(arrays)[:, : 6 if has_normal_uvs else 4]
     vertices, merged = _merge_vertices(vertices, np.concatenate(all_triangles))
     normal_uvs = np.ascontiguousarray(vertices[:, 4:]) if has_normal_uvs else None
