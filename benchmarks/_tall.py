@@ -2,7 +2,8 @@
 
 Pictures are no larger than the character needs, and an empty one is measured beside them: clearing and fetching pixels
 costs the same whatever is drawn. Then ten side by side in a picture of 1920 x 1080, actors of one model, as in a game.
-Both sides of every comparison are shaded by the same fragment program.
+Each with one sample a pixel and with several, as viewers and games draw (drawn, not resolved: that costs the same
+whatever is drawn). Both sides of every comparison are shaded by the same fragment program.
 """
 
 from __future__ import annotations
@@ -97,12 +98,25 @@ def actors_in_a_grid(model: Model, camera: Camera, size_px: tuple[int, int]) -> 
 
 @dataclass(frozen=True)
 class Stage:
-    """What is drawn in a series of pictures, and where."""
+    """What is drawn in a series of pictures, and where.
+
+    Attributes
+    ----------
+    name : str
+    canvas : Canvas
+    camera : Camera
+    actors : list of Actor
+    views : tuple of str
+        The first is drawn tessellated as well, where that is asked for.
+    tessellates : bool
+    """
 
     name: str
     canvas: Canvas
     camera: Camera
     actors: list[Actor]
+    views: tuple[str, ...] = ("lit",)
+    tessellates: bool = False
 
     def drawing(self, renderer: Renderer, view: str, lod: int | str, draws: int, empty: bool) -> Callable[[], None]:
         """A function that draws so many pictures, each cleared anew, and waits for the end."""
@@ -118,6 +132,25 @@ class Stage:
         return work
 
 
+def make_stages(model: Model, actor: Actor) -> list[Stage]:
+    """One actor alone and ten together, each without and with multisampling."""
+    ctx: moderngl.Context = model.ctx
+    near = framing(model.asset.manifest.bind_bounds, 1.0)
+    towards = np.asarray(near.eye) - near.target
+    camera, wide = (camera_at(model, actor, height, towards) for height in (WINDOW_PX, GRID_SIZE[1]))
+    many = actors_in_a_grid(model, wide, GRID_SIZE)
+    stages = []
+    for smooth in (False, True):
+        alone, together = Canvas(ctx, (WINDOW_PX, WINDOW_PX), smooth), Canvas(ctx, GRID_SIZE, smooth)
+        samples = f", {alone.samples} samples" if smooth else ""
+        views = ("lit",) if smooth else ("lit", "mask")
+        stages += [
+            Stage(f"one, {WINDOW_PX} x {WINDOW_PX}{samples}", alone, camera, [actor], views, not smooth),
+            Stage(f"{len(many)}, {GRID_SIZE[0]} x {GRID_SIZE[1]}{samples}", together, wide, many),
+        ]
+    return stages
+
+
 def measure_tall(model: Model, actor: Actor, take_turns: Turns, draws: int) -> list[dict[str, Any]]:
     """Full detail beside the levels that thresholds allow, shaded and not, and beside tessellation; then many at once.
 
@@ -129,34 +162,23 @@ def measure_tall(model: Model, actor: Actor, take_turns: Turns, draws: int) -> l
         Pictures a candidate draws before it waits for the end.
     """
     ctx: moderngl.Context = model.ctx
-    near = framing(model.asset.manifest.bind_bounds, 1.0)
-    towards = np.asarray(near.eye) - near.target
-    alone, many = Canvas(ctx, (WINDOW_PX, WINDOW_PX), smooth=False), Canvas(ctx, GRID_SIZE, smooth=False)
+    stages = make_stages(model, actor)
     renderers = {"full detail": Renderer(ctx), "1 px": Renderer(ctx), "2 px": Renderer(ctx, quality=Quality(2.0))}
-    camera = camera_at(model, actor, WINDOW_PX, towards)
-    wide = camera_at(model, actor, GRID_SIZE[1], towards)
-    count = GRID[0] * GRID[1]
-    stages = [
-        (Stage(f"one, {WINDOW_PX} x {WINDOW_PX}", alone, camera, [actor]), ("lit", "mask")),
-        (
-            Stage(f"{count}, {GRID_SIZE[0]} x {GRID_SIZE[1]}", many, wide, actors_in_a_grid(model, wide, GRID_SIZE)),
-            ("lit",),
-        ),
-    ]
     if ctx.version_code >= 410:
         renderers[TESSELLATED] = Renderer(ctx, quality=Quality(prefer="tessellation"))
-    rows = []
-    for stage, views in stages:
+    rows, shifts = [], {0: 0.0}
+    for stage in stages:
         ways: dict[tuple[str, str], Callable[[], None]] = {}
-        for view in views:
+        for view in stage.views:
             ways[view, "empty"] = stage.drawing(renderers["1 px"], view, "auto", draws, empty=True)
             for name, renderer in renderers.items():
-                if name != TESSELLATED or (view == "lit" and len(stage.actors) == 1):
+                if name != TESSELLATED or (stage.tessellates and view == stage.views[0]):
                     lod = 0 if name == "full detail" else "auto"
                     ways[view, name] = stage.drawing(renderer, view, lod, draws, empty=False)
         times = take_turns({f"{view}: {name}": work for (view, name), work in ways.items()})
         levels = {key: drawn_levels(renderers.get(key[1]), work, stage.actors) for key, work in ways.items()}
-        shifts = measure_silhouettes(model, renderers["1 px"], {level for drawn in levels.values() for level in drawn})
+        new = {level for drawn in levels.values() for level in drawn if level not in shifts}
+        shifts |= measure_silhouettes(model, renderers["1 px"], new)
         for (view, name), drawn in levels.items():
             wall, cpu = times[f"{view}: {name}"]
             full_wall, full_cpu = times[f"{view}: full detail"]
@@ -176,8 +198,8 @@ def measure_tall(model: Model, actor: Actor, take_turns: Turns, draws: int) -> l
             )
     for renderer in renderers.values():
         renderer.release()
-    for canvas in (alone, many):
-        canvas.release()
+    for stage in stages:
+        stage.canvas.release()
     return rows
 
 

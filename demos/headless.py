@@ -44,16 +44,21 @@ class Canvas:
         Width and height, pixels.
     smooth : bool
         Whether edges are multisampled.
+
+    Attributes
+    ----------
+    samples : int
+        A pixel, 0 without multisampling.
     """
 
     def __init__(self, ctx: moderngl.Context, size: tuple[int, int], smooth: bool = True) -> None:
         self.size = size
-        samples = min(SAMPLES, ctx.max_samples) if smooth else 0
+        self.samples = min(SAMPLES, ctx.max_samples) if smooth else 0
         self._ctx = ctx
-        self._color = ctx.renderbuffer(size, 4, samples=samples)
-        self._depth = ctx.depth_renderbuffer(size, samples=samples)
+        self._color = ctx.renderbuffer(size, 4, samples=self.samples)
+        self._depth = ctx.depth_renderbuffer(size, samples=self.samples)
         self.framebuffer = ctx.framebuffer([self._color], self._depth)
-        self._resolved = ctx.simple_framebuffer(size, 4) if samples else None
+        self._resolved = ctx.simple_framebuffer(size, 4) if self.samples else None
 
     @contextmanager
     def drawing(self, background: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)) -> Iterator[None]:
