@@ -9,11 +9,13 @@ import pytest
 
 from preprocess.decimate import (
     DecimateOptions,
+    Lod,
     Strictness,
     decimate,
     decimate_to,
     floor_faces,
 )
+from preprocess.decimate.chain import _merged
 from preprocess.mesh import Floats, TexturedSurface
 from tests.builders_decimate import box, square, two_strips, waves
 from tests.builders_straighten import two_charts
@@ -117,6 +119,19 @@ def test_relaxed_levels_say_how_much() -> None:
         assert (np.sign(uv_areas(lod.surface)) > 0).all()
     exact_only = decimate(surface, DecimateOptions(min_faces=4, relaxed_px=0.0))
     assert all(lod.exact for lod in exact_only.lods)
+
+
+def test_relaxed_levels_take_over_where_exact_ones_are_squeezed() -> None:
+    def lod(num_faces: int, error_m: float, exact: bool) -> Lod:
+        none = np.zeros((0, 2))
+        faces = np.zeros((num_faces, 3), np.int32)
+        return Lod(none, faces, faces, none, none, none, error_m=error_m, exact=exact)
+
+    exact = [lod(100, 1.0, True), lod(70, 2.0, True), lod(50, 9.0, True)]
+    near, far, barely = lod(60, 3.0, False), lod(30, 12.0, False), lod(75, 1.9, False)
+    assert _merged(exact, [near, far]) == (exact[:2], [near, far])
+    assert _merged(exact, [barely, far]) == (exact, [far])  # the exact one with 70 faces is as near
+    assert _merged(exact, []) == (exact, [])
 
 
 def test_drawn_position_is_the_textures() -> None:

@@ -221,7 +221,7 @@ def _relaxed_attempt(engine: Engine, error_m: float, target: int, options: Decim
 
 
 def _relaxed_levels(engine: Engine, reference: Reference, finest: Lod, options: DecimateOptions) -> list[Lod]:
-    """Levels below the exact floor, each with seams that stray by less than can be seen where it is used.
+    """Levels near the exact floor and below it, each with seams that stray by less than can be seen where it is used.
 
     A level is used where its error is about a pixel, and the mip level there has texels of about a pixel, so half a
     texel of that mip is half of the error, as a length on the surface. A few allowances are tried, from that of the
@@ -260,6 +260,16 @@ def _relaxed_levels(engine: Engine, reference: Reference, finest: Lod, options: 
         )
         lods.append(last)
     return lods
+
+
+def _merged(exact: list[Lod], relaxed: list[Lod]) -> tuple[list[Lod], list[Lod]]:
+    """Exact levels, and relaxed ones from where no exact one with as few faces is as near."""
+    relaxed = [
+        lod
+        for lod in relaxed
+        if all(lod.error_m < AS_NEAR_REL * other.error_m for other in exact if other.num_faces <= lod.num_faces)
+    ]
+    return [lod for lod in exact if not relaxed or lod.num_faces > relaxed[0].num_faces], relaxed
 
 
 def _useful(lods: list[Lod], relaxed: list[Lod]) -> tuple[list[Lod], list[Lod]]:
@@ -331,10 +341,9 @@ def decimate(
                 # The last steps to the floor take what is left, at any cost; relaxed levels start before them.
                 before, finest = above_floor
                 relaxed = _relaxed_levels(before, reference, finest, options)
-                relaxed = [lod for lod in relaxed if lod.num_faces < floor]
             break
     if options.ratios is None:
-        lods, relaxed = _useful(lods, relaxed)
+        lods, relaxed = _useful(*_merged(lods, relaxed))
     warnings = list(engine.repairs.warnings())
     for number, lod in enumerate(relaxed, len(lods)):
         if not lod.exact:
