@@ -13,12 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from benchmarks._source_normals import unit
 from benchmarks.accuracy import CANDIDATES, fetched_vertices
 from preprocess.mesh import Floats, SkinnedMesh
 from runtime.asset import Asset
 
 Ints = NDArray[np.integer]
 POINTS_AT_ONCE = 32  # beside all triangles
+TURN_REL = 1e-2  # of the size: what facing half the other way counts as distance
 SAME_REL = 1e-3  # a drawn vertex further than this from every vertex of the source is none of them
 
 
@@ -78,7 +80,7 @@ def _normals(triangles: Floats) -> Floats:
 
 
 def _nearest_on_triangles(points: Floats, facing: Floats, triangles: Floats) -> tuple[Ints, Floats]:
-    """The nearest of triangles (T, 3, 3) to each point (N, 3) that faces its way, and where on it."""
+    """The nearest of triangles (T, 3, 3) to each point (N, 3), of those that face its way, and where on it."""
     parts = [
         _nearest_of_some(points[i : i + POINTS_AT_ONCE], facing[i : i + POINTS_AT_ONCE], triangles)
         for i in range(0, len(points), POINTS_AT_ONCE)
@@ -97,7 +99,10 @@ def _nearest_of_some(points: Floats, facing: Floats, triangles: Floats) -> tuple
     shares = np.maximum(np.stack([1.0 - b - c, b, c], axis=2), 0.0)
     shares /= shares.sum(axis=2, keepdims=True)
     apart = np.linalg.norm(np.einsum("ntk,tki->nti", shares, triangles) - points[:, None], axis=2)
-    best = np.where(facing @ _normals(triangles).T > 0, apart, np.inf).argmin(axis=1)
+    alike = unit(facing) @ unit(_normals(triangles)).T
+    # Where surfaces cross, both are near enough, and one faces the point's way.
+    turned_away = TURN_REL * np.ptp(triangles.reshape(-1, 3), axis=0).max() * (1.0 - alike)
+    best = np.where(alike > 0, apart + turned_away, np.inf).argmin(axis=1)
     return best, shares[np.arange(len(points)), best]
 
 
