@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from preprocess.decimate import rules
 from preprocess.decimate.engine import Engine, make_engine
-from preprocess.decimate.evening import TRIES, Try, make_even_level, make_level
+from preprocess.decimate.evening import Try, make_even_level, make_level
 from preprocess.decimate.floor import count_floor
 from preprocess.decimate.lod import PEAK_WEIGHT, Chain, DecimateOptions, Lod, Strictness
 from preprocess.decimate.measure import Distances, Reference, make_reference, measure
@@ -188,7 +188,8 @@ def _next_level(engine: Engine, reference: Reference, target: int, near_floor: f
     """Go on to a level: polished where witnesses can tell what is nearer, evened out where it has few faces."""
     watched = len(engine.mesh.points) > 0
     if watched and target <= POLISH_BELOW_REL * len(reference.surface.faces):
-        return make_even_level(engine, reference, target, TRIES if near_floor < target <= FEW_FACES else 1)
+        make = make_even_level if near_floor < target <= FEW_FACES else make_level
+        return make(engine, reference, target)
     engine.run_to(target)
     if not watched or DENSE_WITNESSES * engine.num_faces > len(engine.mesh.points):
         return Try(engine, engine.snapshot())

@@ -61,14 +61,14 @@ def make_even_level(engine: Engine, reference: Reference, target_faces: int, tri
     tries : int
     """
     weights = np.ones(len(engine.mesh.points))
-    made: list[Try] = []
-    for _ in range(tries):
-        if made and made[-1].distances:
-            weights = weights * _growth(engine, made[-1].distances)
+    best = last = make_level(engine.copy(), reference, target_faces)
+    for _ in range(tries - 1):
+        if last.distances:
+            weights = weights * _growth(engine, last.distances)
         copy = engine.copy()
         copy.weigh_witnesses(weights)
-        made.append(make_level(copy, reference, target_faces))
-    best = min(made, key=lambda level: level.largest_m)
+        last = make_level(copy, reference, target_faces)
+        best = min(best, last, key=lambda level: level.largest_m)
     best.engine.weigh_witnesses(np.ones(len(weights)))
     return best
 
