@@ -36,6 +36,8 @@ STEPS_TO_HALF = 3
 POLISH_BELOW_REL = 0.3
 # A level above it is polished where a face has so many witnesses, if that lowers its largest error.
 DENSE_WITNESSES = 5
+# With more of them a level is made once: a second time would take seconds for each.
+MOST_WITNESSES_TWICE = 150_000
 # The run may stop this far above the floor that the charts' corners set.
 NEAR_FLOOR_REL = 1.5
 # No relaxed level whose error is this share of the longest extent: where it were used, the character is two pixels.
@@ -188,8 +190,8 @@ def _next_level(engine: Engine, reference: Reference, target: int, near_floor: f
     """Go on to a level: polished where witnesses can tell what is nearer, evened out where it has few faces."""
     watched = len(engine.mesh.points) > 0
     if watched and target <= POLISH_BELOW_REL * len(reference.surface.faces):
-        make = make_even_level if near_floor < target <= FEW_FACES else make_level
-        return make(engine, reference, target)
+        twice = near_floor < target <= FEW_FACES and len(engine.mesh.points) <= MOST_WITNESSES_TWICE
+        return (make_even_level if twice else make_level)(engine, reference, target)
     engine.run_to(target)
     if not watched or DENSE_WITNESSES * engine.num_faces > len(engine.mesh.points):
         return Try(engine, engine.snapshot())
