@@ -32,7 +32,7 @@ class Settings:
         Fraction of the faces that the coarsest exact level must reach; the atlas is chosen for it. At most
         `floor_rel` or 200 faces, whichever is larger, is asked for.
     exact : bool
-        Leave out levels below the exact floor, whose seams are relaxed within half a texel of their mip.
+        Leave out levels near and below the exact floor whose seams are relaxed, by half a texel of their mip at most.
     influences : int
         Joint influences a vertex in model.glb: 4 or 8.
     separate_lods : bool

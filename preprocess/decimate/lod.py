@@ -48,7 +48,8 @@ class DecimateOptions:
     lifted : bool
         Whether vertices of polished levels may leave the surface, which lies inside of it wherever it bulges.
     relaxed_px : float
-        Largest such distance at levels below the exact floor, in texels of the mip level they are seen at; 0 for none.
+        Largest such distance at levels near and below the exact floor, in texels of the mip level they are seen at; 0
+        for none.
     drop_parts : bool
         Whether relaxed levels may leave out whole parts that are smaller than their error, a pixel where they are
         used; each says how many.
