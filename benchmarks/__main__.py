@@ -84,7 +84,7 @@ def main(argv: list[str]) -> int:
     with needs_packages("__main__", "benchmarks", EXTRA):
         from benchmarks._inputs import MissingInput
         from preprocess.errors import InputError
-        from preprocess.kernels import compile_quickly
+        from preprocess.numerics.compile_progress import compile_quickly
         from runtime.errors import AssetError, RenderError
     compile_quickly()
     result: dict[str, Any] = {"machine": describe_machine()}

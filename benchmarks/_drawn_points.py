@@ -15,8 +15,9 @@ from scipy.spatial import cKDTree
 
 from benchmarks._source_normals import unit
 from benchmarks.accuracy import CANDIDATES, fetched_vertices
-from preprocess.mesh import Floats, SkinnedMesh
-from runtime.asset import Asset
+from preprocess.arrays import Floats
+from preprocess.mesh.surface import SkinnedMesh
+from runtime.asset.asset import Asset
 
 Ints = NDArray[np.integer]
 POINTS_AT_ONCE = 32  # beside all triangles

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from demos.headless import Canvas, create_context
-from preprocess.mesh import TexturedSurface
-from runtime.camera import Camera
-from runtime.programs import build_program, set_uniforms
+from preprocess.mesh.surface import TexturedSurface
+from runtime.gpu.programs import build_program, set_uniforms
+from runtime.scene.camera import Camera
 
 Pixels = NDArray[np.uint8]
 

@@ -12,12 +12,12 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from runtime.actor import Actor
-from runtime.camera import Camera
-from runtime.gpu_asset import Model
-from runtime.gpu_textures import TEXTURE_UNITS
-from runtime.programs import assemble, remember_members, set_uniforms
-from runtime.renderer import SKINNING, Renderer
+from runtime.gpu.model import Model
+from runtime.gpu.programs import assemble, remember_members, set_uniforms
+from runtime.gpu.textures import TEXTURE_UNITS
+from runtime.render.renderer import SKINNING, Renderer
+from runtime.scene.actor import Actor
+from runtime.scene.camera import Camera
 
 MIN_VERSION_CODE = 430
 MAX_POINTS = 2_000_000

@@ -13,9 +13,10 @@ from collections import defaultdict
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.gltf import Character
-from preprocess.gltf.character import TextureRef
-from preprocess.mesh import Floats, SkinnedMesh
+from preprocess.arrays import Floats
+from preprocess.load import Character
+from preprocess.load.character import TextureRef
+from preprocess.mesh.surface import SkinnedMesh
 
 Ints = NDArray[np.integer]
 

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from demos.headless import Canvas
-from runtime.actor import Actor
-from runtime.camera import Camera, framing
-from runtime.gpu_asset import Model
-from runtime.lod import Quality
-from runtime.renderer import Renderer
+from runtime.gpu.model import Model
+from runtime.render.renderer import Renderer
+from runtime.scene.actor import Actor
+from runtime.scene.camera import Camera, framing
+from runtime.scene.lod_selection import Quality
 
 TALL_PX = 200
 FOVY_DEG = 35.0

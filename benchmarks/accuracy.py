@@ -18,15 +18,15 @@ from scipy.spatial import cKDTree
 from benchmarks._inputs import ASSETS, BUILT_HELP, built_characters, command_line, source_of
 from benchmarks._table import print_table
 from benchmarks.draw import CLASSIC_VERTEX_BYTES
-from preprocess.geometry.weight_details import sample_weights
-from preprocess.geometry.weights import unpack_weights
-from preprocess.gltf import Character, load_character
-from preprocess.mesh import Floats
-from preprocess.texels import sample_bilinear
-from runtime.asset import Asset, load
-from runtime.gpu_levels import index_bytes, normal_bytes, vertex_attributes, vertex_bytes
-from runtime.gpu_textures import prepare
-from runtime.pose import rest_pose, sample, skinning_rows
+from preprocess.arrays import Floats
+from preprocess.fit.weight_quadtree import sample_weights
+from preprocess.fit.weight_stack import unpack_weights
+from preprocess.load import Character, load_character
+from preprocess.mesh.texels import sample_bilinear
+from runtime.animation.pose import rest_pose, sample, skinning_rows
+from runtime.asset.asset import Asset, load
+from runtime.gpu.lod_buffers import index_bytes, normal_bytes, vertex_attributes, vertex_bytes
+from runtime.gpu.textures import prepare
 
 CANDIDATES = 8  # nearest source vertices among which a vertex finds its own: parts may touch
 

@@ -20,18 +20,18 @@ from benchmarks._inputs import command_line, source_files
 from benchmarks._table import print_table
 from preprocess.atlas import build_atlas, default_floor
 from preprocess.atlas.measure import measure_coverage, measure_stretch, straight_share
-from preprocess.atlas.overlap import find_overlap
-from preprocess.atlas.topology import cut_edges, find_edges, label_faces
+from preprocess.bake.geometry import bake_positions, vertex_values
 from preprocess.decimate import decimate_to
 from preprocess.erase import LOCAL, EraseOptions, plan_erasure
 from preprocess.errors import InputError
-from preprocess.geometry.bake import bake_positions, vertex_values
-from preprocess.gltf import load_character
-from preprocess.mesh import SkinnedMesh, TexturedSurface
-from preprocess.seams import find_seams
-from preprocess.split_edges import apply_split
+from preprocess.load import load_character
+from preprocess.mesh.edges import cut_edges, find_edges, label_faces
+from preprocess.mesh.seams import find_seams
+from preprocess.mesh.split_edges import apply_split
+from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
+from preprocess.mesh.texels import sample_bilinear
+from preprocess.mesh.uv_overlap import find_overlap
 from preprocess.straighten import straighten
-from preprocess.texels import sample_bilinear
 
 CHARACTERS = ("human.glb", "Fox.glb", "Knight.glb", "robot.glb", "mannequiny.glb")
 TOLERANCES_REL = (0.01, 0.02, 0.03, 0.05)

@@ -27,12 +27,12 @@ from benchmarks._points import MIN_VERSION_CODE, PointCapture, differing_points
 from benchmarks._table import print_table
 from demos.headless import Canvas, create_context
 from demos.options import picture_size
-from runtime.actor import Actor
-from runtime.asset import Asset, load
-from runtime.camera import Camera
-from runtime.gpu_asset import Model
-from runtime.lods import DrawRange, LodMesh
-from runtime.renderer import Renderer
+from runtime.asset.asset import Asset, load
+from runtime.asset.lod_mesh import DrawRange, LodMesh
+from runtime.gpu.model import Model
+from runtime.render.renderer import Renderer
+from runtime.scene.actor import Actor
+from runtime.scene.camera import Camera
 
 SHIFT_REL = 1e-6  # of the control: how far one side of every seam is moved, of the body's diagonal
 
@@ -88,7 +88,7 @@ def moved_seams(mesh: LodMesh, shift_uv: float) -> LodMesh:
 
 def metres_a_uv(asset: Asset) -> float:
     """How far a step in the atlas leads over the body, the median of the finest level's edges."""
-    from preprocess.texels import sample_bilinear
+    from preprocess.mesh.texels import sample_bilinear
 
     mesh = asset.lods[0]
     positions = sample_bilinear(asset.textures["position"].levels[0][:, :, :3], mesh.owner_uvs)

@@ -31,10 +31,10 @@ from benchmarks._table import print_table
 from demos.crowd import square
 from demos.headless import Canvas, create_context, write_png
 from demos.options import picture_size
-from runtime.crowd import PLACES_BYTES
-from runtime.crowd_levels import LevelMesh
-from runtime.gltf import Document, read_document
-from runtime.gpu_levels import DrawGroup
+from runtime.crowd.crowd import PLACES_BYTES
+from runtime.crowd.lod_buffers import LevelMesh
+from runtime.gltf.document import Document, read_document
+from runtime.gpu.lod_buffers import DrawGroup
 
 SOURCE, BUILT = ASSETS / "human.glb", BUILT_FOLDERS[0] / "human.seamless"
 COARSEST_FACES = 48
@@ -107,7 +107,7 @@ def meshoptimizer_levels(mesh: SourceMesh, with_uvs: bool) -> Chain:
 def largest_errors(mesh: SourceMesh, chain: Chain, matrices: NDArray[np.float32]) -> Chain:
     """The same levels with their largest distance from the full mesh, either way, in poses spread over all clips."""
     from preprocess.decimate.measure import sample_mesh
-    from preprocess.decimate.nearest import build_tree
+    from preprocess.mesh.closest_point import build_tree
 
     points = np.concatenate([mesh.positions, np.ones((len(mesh.positions), 1))], axis=1).astype(np.float64)
     posed = []
@@ -169,8 +169,8 @@ def source_base_color(ctx: moderngl.Context, document: Document, padded_for: Sou
     With `padded_for`, texels that the mesh does not use are filled first, so that no mip level bleeds: for the
     reference picture.
     """
-    from preprocess.images import read_image
-    from preprocess.raster import fill_outside, rasterise
+    from preprocess.files.images import read_image
+    from preprocess.mesh.raster import fill_outside, rasterise
 
     material = document.json["materials"][document.json["meshes"][0]["primitives"][0].get("material", 0)]
     texture = material["pbrMetallicRoughness"]["baseColorTexture"]["index"]

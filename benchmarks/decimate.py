@@ -30,14 +30,15 @@ from benchmarks._mesh_pictures import MeshStudio, mean_flip
 from benchmarks._table import print_table
 from preprocess.decimate import DecimateOptions, Lod, decimate, decimate_to
 from preprocess.decimate.chain import NEAR_FLOOR_REL
-from preprocess.decimate.engine import make_engine
 from preprocess.decimate.measure import make_reference, measure
+from preprocess.decimate.state import make_engine
 from preprocess.erase import erase, measure_seams
-from preprocess.gltf import load_character
-from preprocess.images import read_image
-from preprocess.mesh import TexturedSurface
-from preprocess.obj import read_obj, read_surface, write_obj
-from preprocess.seams import find_seams
+from preprocess.files.images import read_image
+from preprocess.files.obj import read_obj, write_obj
+from preprocess.load import load_character
+from preprocess.load.read_surface import read_surface
+from preprocess.mesh.seams import find_seams
+from preprocess.mesh.surface import TexturedSurface
 from preprocess.straighten import straighten
 from preprocess.straighten.warp import find_warp
 

@@ -23,17 +23,17 @@ from benchmarks._table import print_table
 from benchmarks._tall import measure_tall
 from demos.headless import Canvas, create_context
 from demos.options import picture_size
-from runtime.asset import Asset, load
-from runtime.camera import Camera, framing
+from runtime.animation.pose import sample, skinning_rows
+from runtime.asset.asset import Asset, load
 from runtime.errors import RenderError
-from runtime.gl_state import saved_state
-from runtime.gpu_asset import Model
-from runtime.gpu_levels import INSTANCE, instance_layout
-from runtime.gpu_textures import TEXTURE_UNITS
-from runtime.passes import set_material, what_it_lacks
-from runtime.pose import sample, skinning_rows
-from runtime.programs import build_program, set_uniforms
-from runtime.renderer import Renderer
+from runtime.gpu.gl_state import saved_state
+from runtime.gpu.lod_buffers import INSTANCE, instance_layout
+from runtime.gpu.model import Model
+from runtime.gpu.programs import build_program, set_uniforms
+from runtime.gpu.textures import TEXTURE_UNITS
+from runtime.render.passes import set_material, what_it_lacks
+from runtime.render.renderer import Renderer
+from runtime.scene.camera import Camera, framing
 
 JOINT_BLOCK_ROWS = 1020  # vec4 in the smallest uniform block that OpenGL promises, three a joint
 DRAWS_A_ROUND = 6  # before one waits for the end
@@ -103,9 +103,9 @@ class Bench:
 
 def attribute_vertices(asset: Asset) -> NDArray[Any]:
     """The finest level's vertices as attributes, sampled from the same textures: position, uv, four joints, weights."""
-    from preprocess.geometry.weight_details import sample_weights
-    from preprocess.geometry.weights import unpack_weights
-    from preprocess.texels import sample_bilinear
+    from preprocess.fit.weight_quadtree import sample_weights
+    from preprocess.fit.weight_stack import unpack_weights
+    from preprocess.mesh.texels import sample_bilinear
 
     mesh = asset.lods[0]
     positions = sample_bilinear(asset.textures["position"].levels[0][:, :, :3], mesh.owner_uvs)
@@ -122,8 +122,8 @@ def attribute_vertices(asset: Asset) -> NDArray[Any]:
 
 def even_weights(asset: Asset) -> NDArray[np.uint8]:
     """All weights on an even map without details, (H, W, J) uint8, J a multiple of four: for simpler layouts."""
-    from preprocess.geometry.weight_details import sample_weights
-    from preprocess.geometry.weights import unpack_weights
+    from preprocess.fit.weight_quadtree import sample_weights
+    from preprocess.fit.weight_stack import unpack_weights
 
     stored = unpack_weights(asset.textures["weights"].levels[0], asset.weight_size, asset.num_joints)
     middles = (np.arange(LAYOUT_PX) + 0.5) / LAYOUT_PX

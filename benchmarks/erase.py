@@ -38,8 +38,8 @@ OURS = """
 import json, sys, time
 import numpy as np
 from preprocess.erase import plan_erasure
-from preprocess.obj import read_obj
-from preprocess.seams import find_seams
+from preprocess.files.obj import read_obj
+from preprocess.mesh.seams import find_seams
 
 mesh, image, channels, output = sys.argv[1], sys.argv[2], int(sys.argv[3]), sys.argv[4]
 surface = read_obj(__import__("pathlib").Path(mesh))
@@ -98,8 +98,8 @@ def _measure(name: str, mesh: Path, texels: Any, folder: Path, channels: int, re
     import numpy as np
 
     from preprocess.erase import measure_seams
-    from preprocess.obj import read_obj
-    from preprocess.seams import find_seams
+    from preprocess.files.obj import read_obj
+    from preprocess.mesh.seams import find_seams
 
     image, output, theirs = folder / "image.npy", folder / "ours.npy", folder / "theirs.npy"
     np.save(image, texels)
@@ -146,8 +146,9 @@ def _resize(texels: Any, side: int) -> Any:
 
 def _inputs(options: argparse.Namespace, folder: Path) -> list[tuple[str, Path, Any]]:
     """Name, OBJ file and texels of every input."""
-    from preprocess.images import read_image
-    from preprocess.obj import read_surface, write_obj
+    from preprocess.files.images import read_image
+    from preprocess.files.obj import write_obj
+    from preprocess.load.read_surface import read_surface
 
     chosen = None if options.mesh is None else [options.mesh]
     inputs = []
@@ -159,7 +160,7 @@ def _inputs(options: argparse.Namespace, folder: Path) -> list[tuple[str, Path, 
             raise MissingInput(f"no image of {mesh.name}: give --image FILE")
         write_obj(folder / f"{name}.obj", read_surface(mesh))
         if image is None:
-            from preprocess.gltf import load_character
+            from preprocess.load import load_character
 
             texture = load_character(mesh).materials[0].base_color
             if texture is None:

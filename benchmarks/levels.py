@@ -14,14 +14,15 @@ import numpy as np
 
 from benchmarks._inputs import command_line, source_files
 from benchmarks._table import print_table
+from preprocess.arrays import Floats, Ints
+from preprocess.bake.geometry import bake_surface_positions
 from preprocess.decimate import DecimateOptions, decimate
 from preprocess.decimate.measure import Reference, make_reference, sample_mesh
-from preprocess.decimate.nearest import build_tree
-from preprocess.geometry.bake import bake_surface_positions
-from preprocess.gltf import load_character
-from preprocess.mesh import Floats, Ints, TexturedSurface
+from preprocess.load import load_character
+from preprocess.load.pose_sampling import sample_poses
+from preprocess.mesh.closest_point import build_tree
+from preprocess.mesh.surface import TexturedSurface
 from preprocess.pipeline import SURFACE_PX, _build_atlas, draw_groups
-from preprocess.poses import sample_poses
 from preprocess.settings import Settings
 
 MODELS = ("human.glb", "mannequiny.glb", "Knight.glb", "Fox.glb")

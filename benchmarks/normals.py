@@ -26,13 +26,13 @@ from benchmarks._drawn_points import DrawnPoints, find_drawn_points, single_face
 from benchmarks._inputs import ASSETS, BUILT_HELP, built_characters, command_line, source_of
 from benchmarks._source_normals import SourceNormals, cofactors, unit
 from benchmarks._table import print_table
-from preprocess.geometry.weight_details import sample_weights
-from preprocess.geometry.weights import unpack_weights
-from preprocess.gltf import Character, load_character
-from preprocess.mesh import Floats
-from preprocess.texels import sample_bilinear
-from runtime.asset import Asset, load
-from runtime.pose import sample, skinning_rows
+from preprocess.arrays import Floats
+from preprocess.fit.weight_quadtree import sample_weights
+from preprocess.fit.weight_stack import unpack_weights
+from preprocess.load import Character, load_character
+from preprocess.mesh.texels import sample_bilinear
+from runtime.animation.pose import sample, skinning_rows
+from runtime.asset.asset import Asset, load
 
 EDGE_PX = 1.5
 

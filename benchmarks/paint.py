@@ -17,14 +17,14 @@ import numpy as np
 
 from benchmarks._inputs import command_line, source_files
 from benchmarks._table import print_table
+from preprocess.arrays import Floats
 from preprocess.erase import EraseOptions, erase_mips
-from preprocess.gltf import load_character
-from preprocess.mesh import Floats
+from preprocess.fit.textures import JUMP_LIMIT, SEAM_WEIGHT, TextureStage
+from preprocess.load import load_character
+from preprocess.load.pose_sampling import sample_poses
+from preprocess.mesh.texels import sample_bilinear
 from preprocess.pipeline import _build_atlas
-from preprocess.poses import sample_poses
 from preprocess.settings import Settings
-from preprocess.texels import sample_bilinear
-from preprocess.textures.stage import JUMP_LIMIT, SEAM_WEIGHT, TextureStage
 
 MODELS = ("Fox.glb", "human.glb")
 POINTS_A_TEXEL = 4

@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks._inputs import command_line, source_files
 from benchmarks._table import print_table
 from preprocess.decimate import decimate_to
-from preprocess.obj import read_surface
+from preprocess.load.read_surface import read_surface
 from preprocess.straighten import straighten
 from preprocess.straighten.warp import find_warp
 

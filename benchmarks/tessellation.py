@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from benchmarks._inputs import command_line, one_built_character
 from benchmarks._table import print_table
 from preprocess.decimate.measure import sample_mesh
-from preprocess.decimate.nearest import build_tree
-from preprocess.texels import sample_bilinear
-from runtime.asset import Asset, load
-from runtime.lods import LodMesh
-from runtime.patch_faults import divided_patches
-from runtime.patches import corner_uvs
+from preprocess.mesh.closest_point import build_tree
+from preprocess.mesh.texels import sample_bilinear
+from runtime.asset.asset import Asset, load
+from runtime.asset.lod_mesh import LodMesh
+from runtime.gpu.patch_validation import divided_patches
+from runtime.gpu.patches import corner_uvs
 
 FACTORS = (2, 4, 8)
 MOST_TRIANGLES = 300_000

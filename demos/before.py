@@ -16,17 +16,17 @@ from numpy.typing import NDArray
 
 from demos.errors import DemoError
 from preprocess.atlas import Atlas, build_atlas
+from preprocess.bake.color_borders import find_color_borders
+from preprocess.bake.geometry import bake_positions, bake_weights
+from preprocess.bake.hard_edges import bake_surface, find_normal_uvs
+from preprocess.bake.materials import bake_materials, bake_normals, normal_tangents
 from preprocess.errors import InputError
-from preprocess.geometry.bake import bake_positions, bake_weights
-from preprocess.geometry.weights import pack_weights
-from preprocess.gltf import Character, load_character
+from preprocess.fit.weight_stack import pack_weights
+from preprocess.load import Character, load_character
+from preprocess.mesh.raster import cover_atlas
 from preprocess.pipeline import GUTTER_PX, GUTTER_SIZE_PX
-from preprocess.raster import cover_atlas
 from preprocess.settings import Settings, floor_faces
-from preprocess.textures.borders import find_color_borders
-from preprocess.textures.creases import bake_surface, find_normal_uvs
-from preprocess.textures.materials import bake_materials, bake_normals, normal_tangents
-from runtime.asset import Asset, TextureData
+from runtime.asset.asset import Asset, TextureData
 
 
 def find_source(asset: Asset) -> Path | None:

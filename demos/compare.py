@@ -24,11 +24,11 @@ from demos.extras import needs_packages
 from demos.headless import create_context, write_png
 from demos.options import Options, Parser, add_arguments, options_of, run
 from demos.viewer import choose_camera, find_folder, make_actor
-from runtime.actor import Actor
-from runtime.asset import Asset, load
-from runtime.camera import Camera
-from runtime.gpu_asset import Model
-from runtime.renderer import Renderer
+from runtime.asset.asset import Asset, load
+from runtime.gpu.model import Model
+from runtime.render.renderer import Renderer
+from runtime.scene.actor import Actor
+from runtime.scene.camera import Camera
 
 with needs_packages(__name__, "compare"):
     from scipy.spatial import cKDTree

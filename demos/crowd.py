@@ -26,7 +26,7 @@ from demos.orbit import Orbit
 from demos.surroundings import DAY, Surroundings
 from demos.viewer import find_folder
 from demos.walk_scene import character_size, various_tints
-from runtime.views import VIEWS
+from runtime.render.views import VIEWS
 
 SPACING = 0.85  # between neighbours, of a character's size
 MAX_COUNT = 1_000_000

@@ -14,11 +14,11 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.clip import Clip
-from runtime.crowd_levels import expand_levels
-from runtime.gpu_asset import Model
-from runtime.pose import global_transforms, sample, skinning_rows
-from runtime.skeleton import Skeleton
+from runtime.animation.clip import Clip
+from runtime.animation.pose import global_transforms, sample, skinning_rows
+from runtime.animation.skeleton import Skeleton
+from runtime.crowd.lod_buffers import expand_levels
+from runtime.gpu.model import Model
 
 Floats = NDArray[np.floating[Any]]
 

@@ -176,7 +176,12 @@ def plan(folder: Path) -> list[Step]:
     pipeline = Step(
         "pipeline",
         (built / "manifest.json",),
-        ("preprocess/**/*.py", "runtime/gltf.py", "runtime/skeleton.py", "runtime/clip.py", "runtime/pose.py"),
+        (
+            "preprocess/**/*.py",
+            "runtime/gltf/*.py",
+            "runtime/animation/*.py",
+            "runtime/asset/*.py",
+        ),
         lambda: make_folder(model, built),
         [creature],
     )
@@ -199,7 +204,7 @@ def this_python() -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry of `./run demo`."""
-    from preprocess.kernels import compile_quickly
+    from preprocess.numerics.compile_progress import compile_quickly
 
     compile_quickly()
 

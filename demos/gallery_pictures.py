@@ -13,8 +13,8 @@ from demos.crowd import CrowdScene
 from demos.headless import Canvas, create_context, write_png
 from demos.options import Options
 from demos.pictures import Pixels, label, side_by_side
-from runtime.asset import load
-from runtime.camera import Camera, framing
+from runtime.asset.asset import load
+from runtime.scene.camera import Camera, framing
 
 HERO_SIZE = (1600, 1100)
 FOVY_DEG = 26.0

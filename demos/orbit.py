@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from runtime.camera import Camera
+from runtime.scene.camera import Camera
 
 STEEPEST = np.radians(88.0)
 

@@ -12,10 +12,10 @@ from PIL import Image, ImageDraw, ImageFont
 
 from demos.headless import Canvas
 from demos.stage import Stage
-from runtime.actor import Actor
-from runtime.camera import Camera
-from runtime.renderer import Renderer
-from runtime.views import VIEWS
+from runtime.render.renderer import Renderer
+from runtime.render.views import VIEWS
+from runtime.scene.actor import Actor
+from runtime.scene.camera import Camera
 
 Pixels = NDArray[np.uint8]
 

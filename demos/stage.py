@@ -13,12 +13,12 @@ import moderngl
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from runtime.camera import Camera, MatrixCamera
-from runtime.programs import build_program
-from runtime.renderer import Renderer
+from runtime.gpu.programs import build_program
+from runtime.render.renderer import Renderer
+from runtime.scene.camera import Camera, MatrixCamera
 
 if TYPE_CHECKING:
-    from runtime.actor import Actor
+    from runtime.scene.actor import Actor
 
 MAP_PX = 512
 TOP, BOTTOM, FLOOR = (0.80, 0.83, 0.86), (0.61, 0.63, 0.67), (0.74, 0.74, 0.75)

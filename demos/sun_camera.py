@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from runtime.camera import MatrixCamera
+from runtime.scene.camera import MatrixCamera
 
 
 def sun_camera(sun_direction: ArrayLike, centre: ArrayLike, radius_m: float) -> MatrixCamera:

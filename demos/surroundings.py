@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 import runtime
 from demos.sun_camera import sun_camera
-from runtime.gl_state import functions
-from runtime.programs import build_program
+from runtime.gpu.gl_state import functions
+from runtime.gpu.programs import build_program
 
 NEAR_PX, FAR_PX = 2048, 2048
 Color = tuple[float, float, float]

@@ -22,12 +22,12 @@ from demos.headless import Canvas, create_context, write_png
 from demos.options import VIEW_NAMES, Options, Parser, add_arguments, parse, run
 from demos.orbit import Orbit
 from demos.stage import Stage
-from runtime.actor import Actor
-from runtime.asset import load
-from runtime.camera import Camera, framing
-from runtime.gpu_asset import Model
-from runtime.renderer import Renderer
-from runtime.views import VIEWS
+from runtime.asset.asset import load
+from runtime.gpu.model import Model
+from runtime.render.renderer import Renderer
+from runtime.render.views import VIEWS
+from runtime.scene.actor import Actor
+from runtime.scene.camera import Camera, framing
 
 BUILT_IN = Path("out/demo/creature.seamless")
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 import runtime
 from demos.gait import model_skin, pace
 from demos.surroundings import EVENING, Surroundings, write_uniforms
-from runtime.programs import build_program
+from runtime.gpu.programs import build_program
 
 TURN_RAD_S = 2.4
 FADE_S = 0.25

@@ -10,20 +10,20 @@ from pathlib import Path
 
 import numpy as np
 
+from preprocess.arrays import Floats, Ints
 from preprocess.atlas import Atlas, build_atlas
+from preprocess.bake.geometry import bake_surface_positions
 from preprocess.decimate import Chain, DecimateOptions, decimate
-from preprocess.folder import MANIFEST, whole_folder
-from preprocess.geometry.bake import bake_surface_positions
-from preprocess.geometry.levels import fit_levels
-from preprocess.geometry.uv_steps import snap_levels, snap_mesh
-from preprocess.gltf import Character, load_character
-from preprocess.mesh import Floats, Ints
-from preprocess.poses import sample_poses
+from preprocess.export.folder import LodRow, write_folder
+from preprocess.export.report import write_report
+from preprocess.files.output_folder import MANIFEST, whole_folder
+from preprocess.fit.level_geometry import fit_levels
+from preprocess.fit.textures import StoredTexture, TextureStage
+from preprocess.fit.uv_quantisation import snap_levels, snap_mesh
+from preprocess.load import Character, load_character
+from preprocess.load.pose_sampling import sample_poses
 from preprocess.progress import Progress
-from preprocess.report import write_report
 from preprocess.settings import Settings, floor_faces
-from preprocess.textures.stage import StoredTexture, TextureStage
-from preprocess.write import LodRow, write_folder
 
 log = logging.getLogger(__name__)
 

@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-from preprocess.kernels import COMPILING, watch_compiling
+from preprocess.numerics.compile_progress import COMPILING, watch_compiling
 
 WORTH_A_WORD_S = 1.0  # of compiling, in a stage's line
 

@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING, Any
 from runtime.errors import AssetError, RenderError
 
 if TYPE_CHECKING:
-    from runtime.actor import Actor
-    from runtime.asset import Asset, load
-    from runtime.camera import Camera, MatrixCamera, framing
-    from runtime.clip import Clip
-    from runtime.crowd import Crowd
-    from runtime.environment import Environment, Lighting
-    from runtime.gpu_asset import Model
-    from runtime.loading import Loading
-    from runtime.lod import Quality
+    from runtime.animation.clip import Clip
+    from runtime.asset.asset import Asset, load
+    from runtime.crowd.crowd import Crowd
+    from runtime.gpu.loading import Loading
+    from runtime.gpu.model import Model
     from runtime.picking import Hit, pick
-    from runtime.renderer import Renderer
+    from runtime.render.renderer import Renderer
+    from runtime.scene.actor import Actor
+    from runtime.scene.camera import Camera, MatrixCamera, framing
+    from runtime.scene.lighting import Environment, Lighting
+    from runtime.scene.lod_selection import Quality
 
 __all__ = [
     "Actor",
@@ -48,22 +48,22 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Actor": "actor",
-    "Asset": "asset",
-    "load": "asset",
-    "Camera": "camera",
-    "MatrixCamera": "camera",
-    "framing": "camera",
-    "Clip": "clip",
-    "Crowd": "crowd",
-    "Environment": "environment",
-    "Lighting": "environment",
-    "Loading": "loading",
-    "Model": "gpu_asset",
-    "Quality": "lod",
+    "Actor": "scene.actor",
+    "Asset": "asset.asset",
+    "load": "asset.asset",
+    "Camera": "scene.camera",
+    "MatrixCamera": "scene.camera",
+    "framing": "scene.camera",
+    "Clip": "animation.clip",
+    "Crowd": "crowd.crowd",
+    "Environment": "scene.lighting",
+    "Lighting": "scene.lighting",
+    "Loading": "gpu.loading",
+    "Model": "gpu.model",
+    "Quality": "scene.lod_selection",
     "Hit": "picking",
     "pick": "picking",
-    "Renderer": "renderer",
+    "Renderer": "render.renderer",
 }
 
 

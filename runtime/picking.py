@@ -14,16 +14,16 @@ import moderngl
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from runtime import gl_state
-from runtime.actor import Actor
-from runtime.actor_batch import gather
-from runtime.camera import Camera, MatrixCamera, Ray
-from runtime.crowd import Crowd
+from runtime.crowd.crowd import Crowd
 from runtime.errors import RenderError
-from runtime.gl_state import saved_state
+from runtime.gpu import gl_state
+from runtime.gpu.gl_state import saved_state
+from runtime.scene.actor import Actor
+from runtime.scene.actor_batch import gather
+from runtime.scene.camera import Camera, MatrixCamera, Ray
 
 if TYPE_CHECKING:
-    from runtime.renderer import Renderer
+    from runtime.render.renderer import Renderer
 
 Doubles = NDArray[np.float64]
 Floats = NDArray[np.floating[Any]]

@@ -2,7 +2,7 @@
 //
 // A level's vertices were expanded once from the textures (crowd_expand.vert): position at rest and the strongest
 // joints. That is what static.vert fetches for every actor anew. Of a coarse level the places of all vertices in all
-// poses are ready-made (runtime/crowd_places.py): PLACED.
+// poses are ready-made (runtime/crowd/vertex_animation_texture.py): PLACED.
 #include "include/frame.glsl"
 #include "include/skinning.glsl"
 #include "include/joint_color.glsl"

@@ -3,7 +3,7 @@
 // A patch is 12 points: 3 corners, then for each edge (from corner k to corner k + 1) the two ends of its owning edge,
 // the one half-edge of the two that meet there at whose uvs both triangles evaluate what lies between (Castaño 2008,
 // "Next-generation hardware rendering of displaced subdivision surfaces"), and then for each corner the copy of it at
-// whose own uv it is fetched; one that is no copy leaves it at its owner's (runtime/patches.py). An edge's factor comes from these ends and
+// whose own uv it is fetched; one that is no copy leaves it at its owner's (runtime/gpu/patches.py). An edge's factor comes from these ends and
 // the corners' owners alone, which both triangles have identically, by arithmetic that does not care which end is
 // first: so both divide it alike.
 #include "include/frame.glsl"
@@ -36,7 +36,7 @@ patch out vec4 patch_tint;
 patch out ivec2 patch_numbers;
 
 float edge_factor(vec3 a, vec3 b, vec4 edge_uvs) {
-    if (edge_uvs.xy == edge_uvs.zw) {  // an edge that is to stay whole (runtime/patch_faults.py)
+    if (edge_uvs.xy == edge_uvs.zw) {  // an edge that is to stay whole (runtime/gpu/patch_validation.py)
         return 1.0;
     }
     if (tessellation.z > 0.0) {

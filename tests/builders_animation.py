@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from runtime.clip import Clip, Track
-from runtime.skeleton import Skeleton, read_skeleton
+from runtime.animation.clip import Clip, Track
+from runtime.animation.skeleton import Skeleton, read_skeleton
 
 
 def random_quaternions(count: int, rng: np.random.Generator) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from preprocess.mesh import SkinnedMesh, TexturedSurface
+from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
 
 Mesh = tuple[np.ndarray, np.ndarray]
 

@@ -8,7 +8,7 @@ import numpy as np
 from builders_gltf import GltfBuilder
 from numpy.typing import NDArray
 
-from preprocess.gltf import Character, load_character
+from preprocess.load import Character, load_character
 
 # Sides of a cube as they lie in a net of 4 x 3 squares: column, row, normal, right, up. Five edges stay joined.
 NET = (

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from preprocess.mesh import Floats, TexturedSurface
+from preprocess.arrays import Floats
+from preprocess.mesh.surface import TexturedSurface
 from tests.builders_straighten import grid_faces, weld_uvs
 
 

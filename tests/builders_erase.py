@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from preprocess.mesh import TexturedSurface
+from preprocess.mesh.surface import TexturedSurface
 
 CUBE_FACES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from preprocess.images import Image, write_image
+from preprocess.files.images import Image, write_image
 
 COMPONENTS = {
     np.dtype(np.int8): 5120,

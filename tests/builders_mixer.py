@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from builders_animation import random_skeleton
 
-from runtime.clip import Clip, Track
-from runtime.mixer import Mixer
-from runtime.skeleton import Skeleton
+from runtime.animation.clip import Clip, Track
+from runtime.animation.mixer import Mixer
+from runtime.animation.skeleton import Skeleton
 
 
 def straight_skeleton(num_nodes: int = 3) -> Skeleton:

@@ -7,10 +7,10 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from runtime.asset import Asset
-from runtime.camera import framing
-from runtime.gpu_asset import Model
-from runtime.renderer import Renderer
+from runtime.asset.asset import Asset
+from runtime.gpu.model import Model
+from runtime.render.renderer import Renderer
+from runtime.scene.camera import framing
 
 SIDE_PX = 96
 

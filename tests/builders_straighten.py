@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import Delaunay
 
+from preprocess.arrays import Floats, Ints
 from preprocess.atlas.repack import repack_charts
-from preprocess.mesh import Floats, Ints, TexturedSurface
+from preprocess.mesh.surface import TexturedSurface
 
 
 def grid_faces(columns: int, rows: int) -> Ints:

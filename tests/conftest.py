@@ -17,7 +17,7 @@ from builders_asset import build_ball
 from builders_scene import Scene
 
 import runtime
-from runtime.asset import Asset, load
+from runtime.asset.asset import Asset, load
 
 ROOT = Path(__file__).resolve().parent.parent
 ASSETS = ROOT.parent / "shared" / "assets"

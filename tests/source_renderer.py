@@ -13,8 +13,8 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from preprocess.images import read_image
-from runtime.gltf import Document, read_document
+from preprocess.files.images import read_image
+from runtime.gltf.document import Document, read_document
 
 VERTEX = """#version 330 core
 uniform mat4 clip_from_object;

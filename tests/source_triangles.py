@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from preprocess.gltf import Character, load_character
-from preprocess.seams import find_seams
-from runtime.clip import read_clips
-from runtime.gltf import Document, read_document
-from runtime.pose import global_transforms, sample, skinning_matrices
-from runtime.skeleton import Skeleton, read_skeleton
+from preprocess.load import Character, load_character
+from preprocess.mesh.seams import find_seams
+from runtime.animation.clip import read_clips
+from runtime.animation.pose import global_transforms, sample, skinning_matrices
+from runtime.animation.skeleton import Skeleton, read_skeleton
+from runtime.gltf.document import Document, read_document
 
 
 def whole_tree(document: Document) -> Skeleton:

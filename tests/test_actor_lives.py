@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from builders_mixer import make_walker
 
-from runtime.actor import Actor
+from runtime.scene.actor import Actor
 
 
 @pytest.fixture

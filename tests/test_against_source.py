@@ -13,7 +13,7 @@ import pytest
 from conftest import ROOT, asset
 from source_renderer import look_at, render_source, source_primitives
 
-from preprocess.images import read_image
+from preprocess.files.images import read_image
 
 SIZE = (1024, 1024)
 FOVY_DEG = 35.0

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from builders_animation import random_clip, random_quaternions, random_skeleton
 
-from runtime.clip import Clip, Track, read_clips
+from runtime.animation.clip import Clip, Track, read_clips
+from runtime.animation.pose import Pose, global_transforms, rest_pose, sample, skinning_matrices, skinning_rows
+from runtime.animation.skeleton import Skeleton, decompose, read_skeleton, rotation_matrices, rotation_quaternion
 from runtime.errors import AssetError
-from runtime.gltf import read_document
-from runtime.pose import Pose, global_transforms, rest_pose, sample, skinning_matrices, skinning_rows
-from runtime.skeleton import Skeleton, decompose, read_skeleton, rotation_matrices, rotation_quaternion
+from runtime.gltf.document import read_document
 
 RNG = np.random.default_rng(7)
 

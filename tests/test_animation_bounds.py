@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from builders_animation import random_clip, random_skeleton
 
-from runtime.bounds import clip_bounds, joint_boxes, pose_bounds
-from runtime.clip import Clip, Track, read_clips
-from runtime.gltf import read_document
-from runtime.pose import rest_pose, sample, skinning_rows
-from runtime.skeleton import read_skeleton
+from runtime.animation.bounds import clip_bounds, joint_boxes, pose_bounds
+from runtime.animation.clip import Clip, Track, read_clips
+from runtime.animation.pose import rest_pose, sample, skinning_rows
+from runtime.animation.skeleton import read_skeleton
+from runtime.gltf.document import read_document
 
 
 def skin(rows: np.ndarray, points: np.ndarray, indices: np.ndarray, weights: np.ndarray) -> np.ndarray:

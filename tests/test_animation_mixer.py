@@ -11,12 +11,12 @@ import pytest
 from builders_animation import random_clip, random_skeleton
 from builders_mixer import angle_about_x, make_walker, model_of, straight_skeleton, turn_clip
 
-from runtime.actor import Actor
-from runtime.actor_batch import gather
-from runtime.clip import Clip, Track
-from runtime.mixer import Mixer
-from runtime.pose import global_transforms, rest_pose, sample, skinning_rows
-from runtime.skeleton import Skeleton
+from runtime.animation.clip import Clip, Track
+from runtime.animation.mixer import Mixer
+from runtime.animation.pose import global_transforms, rest_pose, sample, skinning_rows
+from runtime.animation.skeleton import Skeleton
+from runtime.scene.actor import Actor
+from runtime.scene.actor_batch import gather
 
 
 @pytest.fixture

@@ -12,10 +12,10 @@ from conftest import asset
 
 from preprocess.atlas import MODES, build_atlas, default_floor
 from preprocess.atlas.measure import measure_coverage, measure_stretch, straight_share
-from preprocess.atlas.overlap import find_overlap
 from preprocess.decimate import decimate_to
 from preprocess.errors import InputError
-from preprocess.mesh import SkinnedMesh, TexturedSurface
+from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
+from preprocess.mesh.uv_overlap import find_overlap
 
 
 def square_patch(cells: int = 16) -> SkinnedMesh:
@@ -148,7 +148,7 @@ def test_made_seams_are_those_the_source_does_not_have():
     atlas = build_atlas(mesh, mode="unwrap")
     assert atlas.num_charts > 1 and atlas.made_seams.any()
     # The source's texture coordinates are continuous, so every cut edge inside the patch is one we made.
-    from preprocess.seams import find_seams
+    from preprocess.mesh.seams import find_seams
 
     seams = find_seams(atlas.mesh.surface)
     assert atlas.made_seams.sum() == 2 * len(seams.vertices)
@@ -175,7 +175,7 @@ CHARACTERS = ("human", "Fox", "Knight", "robot", "mannequiny")
 
 @pytest.mark.parametrize("name", CHARACTERS)
 def test_characters_reach_the_floor_without_flags(name):
-    from preprocess.gltf import load_character
+    from preprocess.load import load_character
 
     mesh = load_character(asset(f"{name}.glb")).mesh
     start = time.process_time()
@@ -192,7 +192,7 @@ def test_characters_reach_the_floor_without_flags(name):
 @pytest.mark.parametrize("name", ("human", "Fox"))
 def test_base_mesh_atlas_of_sound_characters(name):
     """`unwrap` must do as well where `auto` does not need it."""
-    from preprocess.gltf import load_character
+    from preprocess.load import load_character
 
     mesh = load_character(asset(f"{name}.glb")).mesh
     atlas = build_atlas(mesh, mode="unwrap")
@@ -204,7 +204,7 @@ def test_base_mesh_atlas_of_sound_characters(name):
 
 
 def test_kept_human_is_nine_tenths_collapsible():
-    from preprocess.gltf import load_character
+    from preprocess.load import load_character
 
     atlas = build_atlas(load_character(asset("human.glb")).mesh, mode="keep")
     assert atlas.straightened >= 0.9 and atlas.overlap == 0

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from preprocess.atlas.crowding import measure_crowding
-from preprocess.atlas.overlap import find_overlap
-from preprocess.atlas.predicates import count_folds, face_orientation
-from preprocess.mesh import TexturedSurface
+from preprocess.mesh.predicates import count_folds, face_orientation
+from preprocess.mesh.surface import TexturedSurface
+from preprocess.mesh.uv_overlap import find_overlap
 
 
 def exact_turn(a, b, c) -> int:

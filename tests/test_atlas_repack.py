@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from preprocess.atlas.repack import _find_place, _occupy, _pack_bits, _rasterise, find_charts, repack_charts
-from preprocess.mesh import TexturedSurface
-from preprocess.seams import find_seams
+from preprocess.mesh.seams import find_seams
+from preprocess.mesh.surface import TexturedSurface
 from preprocess.straighten.overlap import find_meeting_segments
 from tests.builders_straighten import ring_in_square, tube, two_charts, weld_uvs, with_dart
 

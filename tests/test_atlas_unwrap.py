@@ -8,12 +8,12 @@ from builders_atlas import FAMILIES, copies, patch, skinned, tetrahedron, tube
 
 from preprocess.atlas import build_atlas, default_floor
 from preprocess.atlas.layout import chart_characteristics
-from preprocess.atlas.overlap import find_overlap
-from preprocess.atlas.predicates import face_orientation
-from preprocess.atlas.topology import cut_edges, find_edges, label_faces
 from preprocess.atlas.unwrap import unwrap
 from preprocess.errors import InputError
-from preprocess.seams import find_seams
+from preprocess.mesh.edges import cut_edges, find_edges, label_faces
+from preprocess.mesh.predicates import face_orientation
+from preprocess.mesh.seams import find_seams
+from preprocess.mesh.uv_overlap import find_overlap
 
 
 @pytest.fixture(scope="module", params=list(FAMILIES))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from preprocess.color import linear_to_srgb, srgb_to_linear
-from preprocess.geometry.bake import bake_positions, bake_weights, fit_vertices
-from preprocess.mesh import SkinnedMesh, TexturedSurface
-from preprocess.raster import fill_outside, interpolate_corners, rasterise
-from preprocess.resample import sample_footprints
-from preprocess.texels import px_to_uv, sample_bilinear, uv_to_px
+from preprocess.bake.geometry import bake_positions, bake_weights, fit_vertices
+from preprocess.files.resample import sample_footprints
+from preprocess.files.srgb import linear_to_srgb, srgb_to_linear
+from preprocess.mesh.raster import fill_outside, interpolate_corners, rasterise
+from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
+from preprocess.mesh.texels import px_to_uv, sample_bilinear, uv_to_px
 
 
 def wavy_grid(n: int = 9) -> SkinnedMesh:

@@ -11,7 +11,7 @@ from builders_erase import make_cube
 
 from benchmarks import _inputs, crowd
 from benchmarks.__main__ import main, subjects, summary
-from preprocess.obj import write_obj
+from preprocess.files.obj import write_obj
 
 
 def lines_of(capsys: pytest.CaptureFixture[str]) -> list[str]:

@@ -14,12 +14,12 @@ from benchmarks._drawn_points import find_drawn_points, single_faces
 from benchmarks._source_normals import SourceNormals, cofactors, mikk_tangents, sample_texture, unit, wrap
 from benchmarks.accuracy import fetched_vertices
 from benchmarks.normals import measure, pick_points
-from preprocess.gltf import load_character
-from preprocess.gltf.character import TextureRef
-from preprocess.gltf.tangents import compute_tangents
-from preprocess.images import Image
-from preprocess.resample import sample_footprints
-from runtime.asset import load
+from preprocess.files.images import Image
+from preprocess.files.resample import sample_footprints
+from preprocess.load import load_character
+from preprocess.load.character import TextureRef
+from preprocess.load.tangents import compute_tangents
+from runtime.asset.asset import load
 
 RNG = np.random.default_rng(4)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from preprocess.cholesky import factor_symmetric
+from preprocess.numerics.cholesky import factor_symmetric
 
 
 def _laplacian(side: int, damping: float) -> sparse.csc_array:

@@ -17,8 +17,8 @@ from builders_gltf import bent_bar
 from conftest import ROOT, asset
 
 from preprocess import cli
-from runtime.asset import SCHEMA
-from runtime.gltf import read_document
+from runtime.asset.asset import SCHEMA
+from runtime.gltf.document import read_document
 
 
 def preprocess(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
@@ -149,7 +149,7 @@ def test_check_refuses_a_changed_folder(built: Callable[[str], Path], tmp_path: 
 
     import numpy as np
 
-    from preprocess.images import Image, read_image, write_image
+    from preprocess.files.images import Image, read_image, write_image
 
     folder = tmp_path / "Fox.seamless"
     shutil.copytree(built("Fox.glb"), folder)
@@ -167,9 +167,9 @@ def test_check_notices_a_changed_byte(tmp_path: Path) -> None:
     from types import SimpleNamespace
     from typing import cast
 
-    from preprocess.check import compare_files
-    from preprocess.write import hash_file
-    from runtime.asset import Asset
+    from preprocess.commands.check import compare_files
+    from preprocess.export.folder import hash_file
+    from runtime.asset.asset import Asset
 
     (tmp_path / "mips").mkdir()
     names = ["a.png", "mips/a.1.png"]

@@ -14,8 +14,8 @@ from builders_scene import Scene
 from test_misuse import refused
 
 import runtime
-from runtime.contexts import current_context, require_current
 from runtime.errors import RenderError
+from runtime.gpu.context import current_context, require_current
 
 
 def test_actors_and_crowds_are_not_copied(actor: runtime.Actor, crowd: runtime.Crowd) -> None:

@@ -12,18 +12,8 @@ from builders_creases import NET, PALETTE, cube_net, load_cube, painted_cube, si
 from builders_scene import Scene
 
 import runtime
-from preprocess.decimate import DecimateOptions, decimate
-from preprocess.gltf import load_character
-from preprocess.mesh import SkinnedMesh, TexturedSurface
-from preprocess.pipeline import build
-from preprocess.progress import Progress
-from preprocess.raster import cover_atlas, rasterise
-from preprocess.seams import find_seams, pick_seams
-from preprocess.settings import Settings
-from preprocess.texels import bilinear_stencil, uv_to_px
-from preprocess.textures.borders import BORDER, find_color_borders
-from preprocess.textures.crease_levels import find_hard_edges, find_level_normal_uvs
-from preprocess.textures.creases import (
+from preprocess.bake.color_borders import BORDER, find_color_borders
+from preprocess.bake.hard_edges import (
     INSET,
     LEAST_AREA_REL,
     MAX_MOVE_PX,
@@ -37,6 +27,16 @@ from preprocess.textures.creases import (
     next_corners,
     pair_inside_charts,
 )
+from preprocess.decimate import DecimateOptions, decimate
+from preprocess.fit.level_normal_uvs import find_hard_edges, find_level_normal_uvs
+from preprocess.load import load_character
+from preprocess.mesh.raster import cover_atlas, rasterise
+from preprocess.mesh.seams import find_seams, pick_seams
+from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
+from preprocess.mesh.texels import bilinear_stencil, uv_to_px
+from preprocess.pipeline import build
+from preprocess.progress import Progress
+from preprocess.settings import Settings
 
 SIZE = (96, 96)
 

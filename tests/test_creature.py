@@ -20,11 +20,11 @@ from demos.creature.raster import cover_texels
 from demos.creature.skeleton import build_joints
 from demos.creature.surface import corner_cotangents, face_normals, unique_edges
 from demos.gallery import PICTURES, make_pictures
-from preprocess.images import read_image
-from preprocess.mesh import TexturedSurface
+from preprocess.files.images import read_image
+from preprocess.mesh.seams import find_seams
+from preprocess.mesh.surface import TexturedSurface
 from preprocess.pipeline import build
 from preprocess.progress import Progress
-from preprocess.seams import find_seams
 from preprocess.settings import Settings
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -295,7 +295,7 @@ def test_textures_are_painted_everywhere_and_the_frame_is_orthonormal(creature: 
 
 
 def test_file_goes_through_the_door_that_every_file_takes(glb: Path, creature: Creature) -> None:
-    from preprocess.gltf import load_character
+    from preprocess.load import load_character
 
     character = load_character(glb)
     assert character.warnings == ()

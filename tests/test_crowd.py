@@ -13,16 +13,16 @@ from builders_animation import random_clip, random_skeleton
 from builders_asset import build_ball
 
 import runtime
-from runtime.bounds import joint_boxes, pose_bounds
-from runtime.clip import Clip, Track
-from runtime.crowd import Crowd
-from runtime.crowd_bake import bake_clips, dropped_shift, pick_joints, steps_between_keys
-from runtime.crowd_levels import bake_level_places, model_meshes
-from runtime.crowd_places import bake_places
-from runtime.crowd_stage import Stage
-from runtime.lod import choose_levels
-from runtime.pose import sample, skinning_rows
-from runtime.views import VIEWS
+from runtime.animation.bounds import joint_boxes, pose_bounds
+from runtime.animation.clip import Clip, Track
+from runtime.animation.pose import sample, skinning_rows
+from runtime.crowd.animation_texture import bake_clips, dropped_shift, pick_joints, steps_between_keys
+from runtime.crowd.crowd import Crowd
+from runtime.crowd.lod_buffers import bake_level_places, model_meshes
+from runtime.crowd.state import Stage
+from runtime.crowd.vertex_animation_texture import bake_places
+from runtime.render.views import VIEWS
+from runtime.scene.lod_selection import choose_levels
 
 SIZE = 192
 CAMERA = runtime.Camera((0, 7, 12), (0, 0, 0), fovy_deg=45)

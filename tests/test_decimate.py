@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from preprocess.arrays import Floats
 from preprocess.decimate import (
     Chain,
     DecimateOptions,
@@ -17,13 +18,13 @@ from preprocess.decimate import (
     decimate_within,
     floor_faces,
 )
-from preprocess.decimate.lod import PEAK_WEIGHT
+from preprocess.decimate.levels import PEAK_WEIGHT
 from preprocess.decimate.measure import make_reference, measure
 from preprocess.decimate.vertex_cache import cache_order, miss_ratio
 from preprocess.erase import erase, measure_seams
-from preprocess.mesh import Floats, TexturedSurface
-from preprocess.obj import read_surface
-from preprocess.seams import find_seams
+from preprocess.load.read_surface import read_surface
+from preprocess.mesh.seams import find_seams
+from preprocess.mesh.surface import TexturedSurface
 from preprocess.straighten import straighten
 from tests.builders_decimate import box, parts, square, waves
 from tests.builders_straighten import moebius, ring_in_square, tube, two_charts, with_dart

@@ -9,7 +9,7 @@ import pytest
 from numba import TypingError, njit
 from numpy.typing import NDArray
 
-from preprocess.decimate.by_reference import by_reference
+from preprocess.numerics.kernel_arguments import by_reference
 
 
 @by_reference

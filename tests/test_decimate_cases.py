@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from preprocess.arrays import Floats
 from preprocess.decimate import (
     DecimateOptions,
     Lod,
@@ -16,7 +17,7 @@ from preprocess.decimate import (
     floor_faces,
 )
 from preprocess.decimate.chain import _merged
-from preprocess.mesh import Floats, TexturedSurface
+from preprocess.mesh.surface import TexturedSurface
 from tests.builders_decimate import box, square, two_strips, waves
 from tests.builders_straighten import two_charts
 from tests.uv_measures import distance_to_segments, outline, uv_areas
@@ -140,7 +141,7 @@ def test_drawn_position_is_the_textures() -> None:
     v, u = np.mgrid[0:64, 0:64] / 64 + 0.5 / 64
     x, y = (u - 0.1) / 0.8, (v - 0.1) / 0.8
     texture = np.stack([x, y, 0.3 * np.sin(np.pi * x) * np.sin(np.pi * y)], axis=2)
-    from preprocess.texels import sample_bilinear
+    from preprocess.mesh.texels import sample_bilinear
 
     for lod in decimate(surface, replace(EXACT, lifted=False), position_texture=texture).lods:
         np.testing.assert_array_equal(lod.positions, sample_bilinear(texture, lod.uvs[lod.owner_uvs]))

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from preprocess.decimate import DecimateOptions
-from preprocess.decimate.engine import make_engine
-from preprocess.decimate.evening import make_even_level, make_level
-from preprocess.decimate.lod import PEAK_WEIGHT
+from preprocess.decimate.deviation_samples import WEIGHT_COLUMN
+from preprocess.decimate.levels import PEAK_WEIGHT
 from preprocess.decimate.measure import make_reference, measure
-from preprocess.decimate.witnesses import WEIGHT_COLUMN
-from preprocess.mesh import TexturedSurface
+from preprocess.decimate.minimax import make_even_level, make_level
+from preprocess.decimate.state import make_engine
+from preprocess.mesh.surface import TexturedSurface
 from tests.builders_decimate import box, square, waves
 
 OPTIONS = DecimateOptions(relaxed_px=0.0, min_faces=1, peak_weight=PEAK_WEIGHT)

@@ -16,7 +16,7 @@ from preprocess.decimate import (
     decimate_within,
 )
 from preprocess.errors import InputError
-from preprocess.mesh import TexturedSurface
+from preprocess.mesh.surface import TexturedSurface
 from tests.builders_decimate import square
 from tests.uv_measures import uv_areas
 

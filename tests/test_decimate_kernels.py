@@ -9,17 +9,18 @@ import pytest
 import quadprog
 from numba import njit
 
-from preprocess.decimate.engine import BOUNDARY_WEIGHT, make_engine
-from preprocess.decimate.floor import count_floor
-from preprocess.decimate.lod import DecimateOptions
+from preprocess.arrays import Floats
+from preprocess.decimate.levels import DecimateOptions
+from preprocess.decimate.lower_bound import count_floor
 from preprocess.decimate.measure import make_reference, measure, sample_mesh
-from preprocess.decimate.nearest import build_tree
 from preprocess.decimate.placement import draw_position, solve_joint
 from preprocess.decimate.quadrics import FIRST, accumulate_faces, add_with_uv_held, evaluate_position
 from preprocess.decimate.skinning import make_skinning
+from preprocess.decimate.state import BOUNDARY_WEIGHT, make_engine
 from preprocess.decimate.topology import NO_WEDGE, TAIL, TWIN, WEDGE, build_half_edges
-from preprocess.mesh import Floats, TexturedSurface
-from preprocess.texels import sample_bilinear
+from preprocess.mesh.closest_point import build_tree
+from preprocess.mesh.surface import TexturedSurface
+from preprocess.mesh.texels import sample_bilinear
 from tests.builders_decimate import box, parts, square, two_strips, waves
 from tests.builders_straighten import moebius, ring_in_square, tube, with_dart
 

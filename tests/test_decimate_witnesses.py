@@ -9,16 +9,17 @@ import pytest
 from numba import njit
 from numpy.typing import NDArray
 
+from preprocess.arrays import Floats
 from preprocess.decimate import DecimateOptions, decimate, decimate_to, rules
-from preprocess.decimate.departure import CORNERS, CORNERS_STRIDE, find_face, set_apex, square_departure, write_face
-from preprocess.decimate.engine import Engine, make_engine
-from preprocess.decimate.lod import PEAK_WEIGHT, Lod
+from preprocess.decimate.deviation import CORNERS, CORNERS_STRIDE, find_face, set_apex, square_departure, write_face
+from preprocess.decimate.deviation_samples import FIRST_POSE, SLIP, SLIP_COLUMN, make_witnesses
+from preprocess.decimate.levels import PEAK_WEIGHT, Lod
 from preprocess.decimate.measure import make_reference, measure
+from preprocess.decimate.state import Engine, make_engine
 from preprocess.decimate.topology import TAIL, TWIN, WEDGE
-from preprocess.decimate.witnesses import FIRST_POSE, SLIP, SLIP_COLUMN, make_witnesses
-from preprocess.mesh import Floats, TexturedSurface
-from preprocess.seams import find_seams
-from preprocess.texels import sample_bilinear
+from preprocess.mesh.seams import find_seams
+from preprocess.mesh.surface import TexturedSurface
+from preprocess.mesh.texels import sample_bilinear
 from tests.builders_decimate import box, square
 
 BUMPY = DecimateOptions(relaxed_px=0.0, min_faces=1, peak_weight=PEAK_WEIGHT)

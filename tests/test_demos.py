@@ -13,7 +13,7 @@ from demos.before import find_source
 from demos.errors import DemoError
 from demos.gallery import PICTURES, Step, plan, run_steps, write_page
 from demos.pictures import PAPER, label, side_by_side
-from runtime.asset import load
+from runtime.asset.asset import load
 from tests.builders_asset import build_ball
 
 
@@ -120,7 +120,7 @@ def test_comparison_without_a_source_shows_the_levels(tmp_path: Path) -> None:
     assert find_source(asset) is None
     picture = tmp_path / "sheet.png"
     assert compare.main([str(folder), "--headless", "--out", str(picture), "--size", "400x300"]) == 0
-    from preprocess.images import read_image
+    from preprocess.files.images import read_image
 
     texels = read_image(picture).texels
     assert texels.shape[1] <= 400 and texels.shape[0] <= 310

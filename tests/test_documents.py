@@ -52,7 +52,7 @@ class Frames:
 def test_the_examples_of_embedding_run_one_after_the_other(
     ctx: moderngl.Context, somebody: runtime.Asset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(runtime.asset, "load", lambda path: somebody)
+    monkeypatch.setattr(runtime.asset.asset, "load", lambda path: somebody)
     monkeypatch.setattr(moderngl, "create_context", lambda: ctx)
     monkeypatch.chdir(somebody.path.parent)
     target = ctx.simple_framebuffer((64, 48))
@@ -115,13 +115,13 @@ def test_the_program_of_the_readme_runs_in_a_window(display: str, somebody: runt
     closing = f"""
 import runpy, sys
 import moderngl, numpy, pygame
-import runtime, runtime.asset
-load = runtime.asset.load
+import runtime, runtime.asset.asset
+load = runtime.asset.asset.load
 import dataclasses
 def named(path):
     asset = load({str(somebody.path)!r})
     return dataclasses.replace(asset, clips=(dataclasses.replace(asset.clips[0], name="walk"),))
-runtime.asset.load = named
+runtime.asset.asset.load = named
 get, frames = pygame.event.get, []
 def events():
     frames.append(get())

@@ -21,7 +21,7 @@ from builders_asset import build_ball
 import runtime
 from demos.gait import pace
 from demos.walk_scene import WalkScene, find_hand
-from runtime.clip import Clip, Track
+from runtime.animation.clip import Clip, Track
 
 ROOT = Path(__file__).resolve().parent.parent
 TOOLKITS = ("glfw", "pygame", "moderngl_window")

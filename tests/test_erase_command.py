@@ -10,11 +10,13 @@ import OpenImageIO as oiio
 import pytest
 
 from preprocess.cli import main
-from preprocess.erase import command, measure_seams
-from preprocess.images import Image, read_image, write_image
-from preprocess.obj import read_surface, write_obj
-from preprocess.seams import find_seams
-from preprocess.texels import sample_bilinear
+from preprocess.commands import erase as command
+from preprocess.erase import measure_seams
+from preprocess.files.images import Image, read_image, write_image
+from preprocess.files.obj import write_obj
+from preprocess.load.read_surface import read_surface
+from preprocess.mesh.seams import find_seams
+from preprocess.mesh.texels import sample_bilinear
 from tests.builders_erase import make_cube, make_square, paint
 
 
@@ -205,7 +207,7 @@ def test_real_textures_are_seamless_as_stored(asset_path, tmp_path, mesh, image)
     surface = read_surface(asset_path(mesh))
     seams = find_seams(surface)
     if image is None:
-        from preprocess.gltf import load_character
+        from preprocess.load import load_character
 
         texels = load_character(asset_path(mesh)).materials[0].base_color.image.texels
         source = save(tmp_path / "fox.png", texels[..., :3], "uint8", ("R", "G", "B"))

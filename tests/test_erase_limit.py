@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from preprocess.arrays import Floats
 from preprocess.erase import EraseOptions
 from preprocess.erase.mips import erase_mips
-from preprocess.erase.plan import plan_erasure
-from preprocess.mesh import Floats
-from preprocess.seams import find_seams
-from preprocess.texels import sample_bilinear
+from preprocess.erase.prepare import plan_erasure
+from preprocess.mesh.seams import find_seams
+from preprocess.mesh.texels import sample_bilinear
 from tests.builders_erase import make_pair
 
 SIZE = 96

@@ -7,10 +7,10 @@ import weakref
 import numpy as np
 import pytest
 
-from preprocess.color import linear_to_srgb, srgb_to_linear
 from preprocess.erase import Eraser, erase_mips, mips, plan_erasure
 from preprocess.erase.mips import mip_sizes, shrink
-from preprocess.seams import find_seams
+from preprocess.files.srgb import linear_to_srgb, srgb_to_linear
+from preprocess.mesh.seams import find_seams
 from tests.builders_erase import MESHES, paint
 
 

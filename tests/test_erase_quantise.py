@@ -9,10 +9,10 @@ from preprocess.erase import (
     plan_erasure,
     quantise,
 )
-from preprocess.erase.pair_moves import best_pair
 from preprocess.erase.quantise import PEAK, REACH, STAY, TOLERATED, _best_steps, _Search
 from preprocess.erase.solve import keep_by_contrast
-from preprocess.seams import find_seams
+from preprocess.erase.two_opt import best_pair
+from preprocess.mesh.seams import find_seams
 from tests.builders_erase import MESHES, paint
 
 

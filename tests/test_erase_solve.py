@@ -21,13 +21,13 @@ from preprocess.erase import (
     plan_erasure,
 )
 from preprocess.erase import eraser as eraser_module
-from preprocess.erase import plan as plan_module
+from preprocess.erase import prepare as plan_module
+from preprocess.erase.energies import inward_normals, jump_rows, lerp_targets, sample_rows, slope_rows, value_rows
 from preprocess.erase.matrix import GRADIENT_MASS
 from preprocess.erase.solve import NotConvergedError
-from preprocess.erase.terms import inward_normals, jump_rows, lerp_targets, sample_rows, slope_rows, value_rows
-from preprocess.mesh import TexturedSurface
-from preprocess.seams import find_seams
-from preprocess.texels import sample_bilinear
+from preprocess.mesh.seams import find_seams
+from preprocess.mesh.surface import TexturedSurface
+from preprocess.mesh.texels import sample_bilinear
 from tests.builders_erase import MESHES, make_square, paint
 from tests.test_erase_terms import full_matrix
 

@@ -7,12 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from preprocess.erase.grid import _mark_near, build_grid
-from preprocess.erase.intervals import MERGE_REL, _cut, split_edges
-from preprocess.erase.matrix import GRADIENT_MASS, _square_elements, grid_matrix
-from preprocess.erase.region import find_inside, find_region, silhouette_lines
-from preprocess.erase.spread import _blend_square, _find_free, spread_far, spread_near
-from preprocess.erase.terms import (
+from preprocess.erase.energies import (
     inward_normals,
     jump_rows,
     lerp_targets,
@@ -20,8 +15,13 @@ from preprocess.erase.terms import (
     slope_rows,
     value_rows,
 )
-from preprocess.seams import find_seams
-from preprocess.texels import px_to_uv, sample_bilinear, uv_to_px
+from preprocess.erase.grid import _mark_near, build_grid
+from preprocess.erase.intervals import MERGE_REL, _cut, split_edges
+from preprocess.erase.matrix import GRADIENT_MASS, _square_elements, grid_matrix
+from preprocess.erase.prolongation import _blend_square, _find_free, spread_far, spread_near
+from preprocess.erase.region import find_inside, find_region, silhouette_lines
+from preprocess.mesh.seams import find_seams
+from preprocess.mesh.texels import px_to_uv, sample_bilinear, uv_to_px
 from tests.builders_erase import make_cube, make_pair, make_square, paint
 
 SIZES = [(16, 16), (31, 12), (8, 40)]

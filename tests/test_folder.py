@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from preprocess.errors import InputError
-from preprocess.folder import check_destination, check_not_input, whole_folder
+from preprocess.files.output_folder import check_destination, check_not_input, whole_folder
 
 
 def fill(folder: Path, text: str) -> None:
@@ -116,7 +116,7 @@ def test_an_input_is_never_the_output(tmp_path: Path) -> None:
 
 def test_an_interrupt_does_not_wait_for_other_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     """A factorisation of a large system takes minutes and cannot be stopped from outside."""
-    from preprocess.textures.stage import TextureStage
+    from preprocess.fit.textures import TextureStage
 
     release = threading.Event()
 

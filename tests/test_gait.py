@@ -7,8 +7,8 @@ import pytest
 from builders_animation import random_skeleton
 
 from demos.gait import Skin, pace
-from runtime.clip import Clip, Track
-from runtime.skeleton import Skeleton
+from runtime.animation.clip import Clip, Track
+from runtime.animation.skeleton import Skeleton
 
 HEIGHT_M = 1.8
 HEEL_M, TOE_M, ANKLE_M = -0.07, 0.18, 0.09  # along the foot from below the ankle; the ankle above the sole

@@ -1,4 +1,4 @@
-"""runtime/gltf.py: accessors of every kind, buffers from everywhere, and one line for every kind of damage."""
+"""runtime/gltf/document.py: accessors of every kind, buffers from everywhere, and one line for every kind of damage."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from builders_gltf import GltfBuilder, bent_bar
 from conftest import asset
 
 from runtime.errors import AssetError
-from runtime.gltf import read_document
+from runtime.gltf.document import read_document
 
 
 def written(builder: GltfBuilder, tmp_path: Path):

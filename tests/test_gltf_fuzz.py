@@ -13,7 +13,7 @@ import numpy as np
 from builders_gltf import GltfBuilder, cube, grid
 
 from preprocess.errors import InputError
-from preprocess.gltf import load_character
+from preprocess.load import load_character
 
 JSON_ROUNDS, BINARY_ROUNDS = 400, 200
 LIMIT_S = 5.0  # a file of fifty triangles; far more than any takes on a loaded machine

@@ -18,11 +18,11 @@ from source_triangles import (
     whole_tree,
 )
 
-from preprocess.gltf import load_character
-from preprocess.seams import find_seams
-from runtime.clip import read_clips
-from runtime.gltf import read_document
-from runtime.pose import rest_pose, sample
+from preprocess.load import load_character
+from preprocess.mesh.seams import find_seams
+from runtime.animation.clip import read_clips
+from runtime.animation.pose import rest_pose, sample
+from runtime.gltf.document import read_document
 
 CHARACTERS = ["Fox.glb", "human.glb", "Knight.glb", "robot.glb", "mannequiny.glb"]
 

@@ -11,8 +11,8 @@ from builders_gltf import GltfBuilder, grid
 from conftest import asset
 
 from preprocess.errors import InputError
-from preprocess.gltf import Character, load_character
-from preprocess.gltf.materials import texture_transform
+from preprocess.load import Character, load_character
+from preprocess.load.materials import texture_transform
 
 TEXELS = np.arange(48, dtype=np.uint8).reshape(4, 4, 3) * 5
 

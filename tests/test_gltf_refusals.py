@@ -10,7 +10,7 @@ import pytest
 from builders_gltf import GltfBuilder, bent_bar
 
 from preprocess.errors import InputError
-from preprocess.gltf import load_character
+from preprocess.load import load_character
 
 
 def refused(builder: GltfBuilder, tmp_path: Path) -> str:

@@ -13,8 +13,8 @@ from source_triangles import (
     drawn_triangles,
 )
 
-from preprocess.gltf import load_character
-from runtime.pose import sample
+from preprocess.load import load_character
+from runtime.animation.pose import sample
 
 
 def rigid_robot() -> tuple[GltfBuilder, list[int]]:

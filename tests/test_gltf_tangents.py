@@ -9,8 +9,8 @@ import pytest
 from builders_gltf import cube, grid
 from conftest import asset
 
-from preprocess.gltf import load_character
-from preprocess.gltf.tangents import compute_tangents, corner_tangents
+from preprocess.load import load_character
+from preprocess.load.tangents import compute_tangents, corner_tangents
 
 
 def flat(shape, turn=None):

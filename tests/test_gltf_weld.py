@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from builders_gltf import GltfBuilder, cube, grid
 
-from preprocess.gltf import Character, load_character
-from preprocess.gltf.grouping import cluster_points, group_rows
-from preprocess.gltf.manifold import make_manifold
-from preprocess.gltf.normals import smooth_corner_normals
-from preprocess.gltf.weld import canonical_influences
-from preprocess.seams import find_seams
+from preprocess.load import Character, load_character
+from preprocess.load.manifold import make_manifold
+from preprocess.load.weld import canonical_influences
+from preprocess.mesh.corner_normals import smooth_corner_normals
+from preprocess.mesh.grouping import cluster_points, group_rows
+from preprocess.mesh.seams import find_seams
 
 
 def loaded(tmp_path: Path, positions, faces, material: dict | None = None, **attributes) -> Character:

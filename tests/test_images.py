@@ -11,10 +11,10 @@ import pytest
 from builders_asset import build_ball
 
 from preprocess.errors import InputError
-from preprocess.images import Image, read_image, write_image
-from runtime.asset import load
+from preprocess.files.images import Image, read_image, write_image
+from runtime.asset.asset import load
 from runtime.errors import AssetError
-from runtime.png import find_png_fault
+from runtime.gltf.png_check import find_png_fault
 
 
 @pytest.fixture
@@ -102,7 +102,7 @@ def test_foreign_bytes_are_named(data: bytes, says: str, capfd: pytest.CaptureFi
 
 def test_a_picture_that_only_partly_reaches_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """libpng does not notice a full disk: the file is read back, and its path in a temporary folder left out."""
-    monkeypatch.setattr("preprocess.images.find_png_fault", lambda data: "it is cut short")
+    monkeypatch.setattr("preprocess.files.images.find_png_fault", lambda data: "it is cut short")
     with pytest.raises(InputError, match=r"^cannot write a\.png: .*make room"):
         write_image(tmp_path / "a.png", Image(np.zeros((4, 4, 3), np.uint8)))
 

@@ -12,7 +12,7 @@ import pytest
 from numba import njit
 from numba.extending import overload
 
-from preprocess.kernels import COMPILING, compile_quickly, watch_compiling
+from preprocess.numerics.compile_progress import COMPILING, compile_quickly, watch_compiling
 from preprocess.progress import Progress
 
 MODULE = """

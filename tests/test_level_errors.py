@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from preprocess.decimate.measure import sample_mesh
-from preprocess.decimate.nearest import build_tree
-from preprocess.geometry.weight_details import sample_weights
-from preprocess.geometry.weights import unpack_weights
-from preprocess.texels import sample_bilinear
-from runtime.asset import Asset, load
-from runtime.gpu_textures import prepare
-from runtime.pose import sample, skinning_rows
+from preprocess.fit.weight_quadtree import sample_weights
+from preprocess.fit.weight_stack import unpack_weights
+from preprocess.mesh.closest_point import build_tree
+from preprocess.mesh.texels import sample_bilinear
+from runtime.animation.pose import sample, skinning_rows
+from runtime.asset.asset import Asset, load
+from runtime.gpu.textures import prepare
 
 NUM_SAMPLES = 2000
 MOMENTS = 6  # of each clip: other ones than those that a build asks for, but for the ends

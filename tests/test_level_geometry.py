@@ -5,17 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from preprocess.arrays import Floats
+from preprocess.bake.geometry import bake_surface_positions
 from preprocess.decimate import DecimateOptions, Lod, decimate
 from preprocess.decimate.measure import Reference, make_reference, measure
-from preprocess.geometry.bake import bake_surface_positions
-from preprocess.geometry.levels import fit_levels
-from preprocess.geometry.maps import store_positions, store_weights
-from preprocess.geometry.weight_details import sample_weights
-from preprocess.geometry.weights import unpack_weights
-from preprocess.mesh import Floats, SkinnedMesh
-from preprocess.seams import find_seams
-from preprocess.texels import sample_bilinear
-from preprocess.textures.stored import StoredTexture
+from preprocess.fit.geometry_maps import store_positions, store_weights
+from preprocess.fit.level_geometry import fit_levels
+from preprocess.fit.stored_texture import StoredTexture
+from preprocess.fit.weight_quadtree import sample_weights
+from preprocess.fit.weight_stack import unpack_weights
+from preprocess.mesh.seams import find_seams
+from preprocess.mesh.surface import SkinnedMesh
+from preprocess.mesh.texels import sample_bilinear
 from tests.builders_decimate import box
 
 POSITION_PX, WEIGHTS_PX = 48, 16

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from builders_scene import Scene
 
-from runtime.asset import Asset, MaterialData, TextureData
-from runtime.environment import NUM_LEVELS, REACH, Environment, map_directions
-from runtime.material_channels import arrange_channels
+from runtime.asset.asset import Asset, MaterialData, TextureData
+from runtime.gpu.material_packing import arrange_channels
+from runtime.scene.lighting import NUM_LEVELS, REACH, Environment, map_directions
 
 
 @pytest.mark.parametrize("size", [5, 40, 160])
@@ -96,7 +96,7 @@ def test_channels_elsewhere_give_the_same_picture(
         kept = {name: texture.levels for name, texture in asset.textures.items()}
         return replace(channels, textures=kept, materials=asset.materials, defines=())
 
-    monkeypatch.setattr("runtime.gpu_textures.arrange_channels", leave)
+    monkeypatch.setattr("runtime.gpu.textures.arrange_channels", leave)
     plain = Scene(ctx, asset)
     expected = plain.picture([plain.model.actor()]).astype(int)
     plain.release()

@@ -8,11 +8,7 @@ import moderngl
 import numpy as np
 import pytest
 
-from runtime.camera import Camera
-from runtime.environment import MAP_SIZE, NUM_LEVELS, REACH, Environment, Lighting
-from runtime.frame_block import FrameBlock
-from runtime.gpu_textures import TEXTURE_UNITS
-from runtime.light_map import (
+from runtime.gpu.environment_map import (
     DIFFUSE_CORNER,
     DIFFUSE_TILE,
     FIRST_STEP,
@@ -24,8 +20,12 @@ from runtime.light_map import (
     mirrored_light,
     tile_corner,
 )
-from runtime.lod import Quality
-from runtime.programs import build_program, set_uniforms
+from runtime.gpu.frame_uniforms import FrameBlock
+from runtime.gpu.programs import build_program, set_uniforms
+from runtime.gpu.textures import TEXTURE_UNITS
+from runtime.scene.camera import Camera
+from runtime.scene.lighting import MAP_SIZE, NUM_LEVELS, REACH, Environment, Lighting
+from runtime.scene.lod_selection import Quality
 
 SIDE = 64
 LIGHT_PROBE = """

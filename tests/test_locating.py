@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from preprocess.decimate import Lod
-from preprocess.geometry.levels import _locate_owners
-from preprocess.gltf.locate import locate_corners
-from preprocess.mesh import SkinnedMesh, TexturedSurface
+from preprocess.fit.corner_locations import locate_corners
+from preprocess.fit.level_geometry import _locate_owners
+from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
 
 
 @pytest.fixture

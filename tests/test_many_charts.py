@@ -10,12 +10,12 @@ import pytest
 from builders_erase import make_cube, paint
 from scipy import sparse
 
-from preprocess.cholesky import factor_symmetric
-from preprocess.dissection import order_by_dissection
+from preprocess.bake.color_sizes import resampled_size
 from preprocess.erase import EraseOptions, erase_mips, plan_erasure
 from preprocess.erase.mips import is_crowded
-from preprocess.seams import find_seams
-from preprocess.textures.sizes import resampled_size
+from preprocess.mesh.seams import find_seams
+from preprocess.numerics.cholesky import factor_symmetric
+from preprocess.numerics.nested_dissection import order_by_dissection
 
 eraser = importlib.import_module("preprocess.erase.eraser")
 solve = importlib.import_module("preprocess.erase.solve")

@@ -12,7 +12,7 @@ import pytest
 from builders_scene import Scene
 
 import runtime
-from runtime import given
+from runtime import validation as given
 from runtime.errors import AssetError, RenderError
 
 NAN, INF = float("nan"), float("inf")

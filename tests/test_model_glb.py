@@ -14,16 +14,16 @@ import pytest
 from builders_gltf import GltfBuilder, bent_bar, cube, grid
 from conftest import asset
 
-from preprocess.decimate.lod import Lod
-from preprocess.gltf import Character, Material, load_character
-from preprocess.gltf.locate import face_components, locate_corners
-from preprocess.gltf.lod_mesh import build_lod_mesh, limit_influences
-from preprocess.gltf.model_glb import screen_coverage, write_model_glb
-from preprocess.gltf.model_materials import describe_material, plan_draws
-from preprocess.images import Image, write_image
-from preprocess.mesh import TexturedSurface
-from runtime.gltf import Document, read_document
-from runtime.pose import sample, skinning_matrices
+from preprocess.decimate.levels import Lod
+from preprocess.export.glb import screen_coverage, write_model_glb
+from preprocess.export.lod_vertices import build_lod_mesh, limit_influences
+from preprocess.export.materials import describe_material, plan_draws
+from preprocess.files.images import Image, write_image
+from preprocess.fit.corner_locations import face_components, locate_corners
+from preprocess.load import Character, Material, load_character
+from preprocess.mesh.surface import TexturedSurface
+from runtime.animation.pose import sample, skinning_matrices
+from runtime.gltf.document import Document, read_document
 
 TEXTURES = {"base_color": {"file": "base_color.png"}, "orm": {"file": "orm.png"}, "normal": {"file": "normal.png"}}
 VALIDATE = """

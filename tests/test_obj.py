@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from preprocess.errors import InputError
-from preprocess.obj import read_obj, read_surface, weld_texture_vertices, write_obj
-from preprocess.seams import find_seams
+from preprocess.files.obj import read_obj, weld_texture_vertices, write_obj
+from preprocess.load.read_surface import read_surface
+from preprocess.mesh.seams import find_seams
 from tests.builders_decimate import box, two_strips
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"

@@ -9,9 +9,9 @@ import pytest
 from test_straighten_parts import two_charts
 
 from preprocess.cli import main
-from preprocess.images import Image, write_image
-from preprocess.obj import read_looks, read_obj, write_obj
-from preprocess.obj_looks import ObjLooks, move_library
+from preprocess.files.images import Image, write_image
+from preprocess.files.obj import read_looks, read_obj, write_obj
+from preprocess.files.obj_materials import ObjLooks, move_library
 
 CORNERS = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
 QUAD, TRIANGLE = "f 1/1 2/2 3/3 4/4\n", "f 1/1 2/2 3/3\n"

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from preprocess.decimate import Lod
-from preprocess.geometry import parking
-from preprocess.geometry.parking import _along_curve, free_texels, lie_beyond, park_vertices
+from preprocess.fit import spare_texels as parking
+from preprocess.fit.spare_texels import _along_curve, free_texels, lie_beyond, park_vertices
+from preprocess.mesh.texels import sample_bilinear, snap_owner_uvs
 from preprocess.settings import PARK_REL
-from preprocess.texels import sample_bilinear, snap_owner_uvs
-from runtime.touched_cells import touched_cells
+from runtime.asset.texel_footprint import touched_cells
 
 SIZE = WEIGHT_SIZE = (32, 32)
 ALIKE = np.ones((13, 1))  # all on one joint

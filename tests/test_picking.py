@@ -11,8 +11,8 @@ from builders_scene import Scene
 from test_runtime_state import driver_state
 
 import runtime
-from runtime import gl_state
 from runtime.errors import RenderError
+from runtime.gpu import gl_state
 
 SIZE = (64, 48)
 CAMERAS = [

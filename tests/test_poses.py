@@ -9,8 +9,8 @@ import pytest
 from builders_gltf import bent_bar
 from scipy.spatial.transform import Rotation
 
-from preprocess.gltf import load_character
-from preprocess.poses import MAX_POSES, MOST_OF_SMALL, choose_poses, sample_poses
+from preprocess.load import load_character
+from preprocess.load.pose_sampling import MAX_POSES, MOST_OF_SMALL, choose_poses, sample_poses
 
 DIFFERENCES = np.array([[0.5, -0.5, 0.0], [0.0, 1.0, -1.0], [0.2, 0.3, -0.5]])
 MIDDLES = np.array([[0.0, 0.5, 0.0, 1.0], [0.2, 1.0, 0.0, 1.0], [0.0, 0.0, 0.3, 1.0]])
@@ -94,6 +94,6 @@ def test_the_extreme_moment_of_a_clip_is_among_them(tmp_path: Path) -> None:
         between = pose[0, :3, :3].T @ pose[-1, :3, :3]
         return float(Rotation.from_matrix(between).magnitude())
 
-    from preprocess.poses import _moments
+    from preprocess.load.pose_sampling import _moments
 
     assert max(map(turned, poses)) == pytest.approx(max(map(turned, _moments(character))))

@@ -9,13 +9,13 @@ import moderngl
 import numpy as np
 import pytest
 
-from preprocess.texels import sample_bilinear
-from runtime.asset import Asset, TextureData
-from runtime.crowd_levels import expand_levels
+from preprocess.mesh.texels import sample_bilinear
+from runtime.asset.asset import Asset, TextureData
+from runtime.asset.packed_positions import choose_words
+from runtime.crowd.lod_buffers import expand_levels
 from runtime.errors import AssetError, RenderError
-from runtime.gpu_asset import Model
-from runtime.gpu_textures import prepare
-from runtime.position_words import choose_words
+from runtime.gpu.model import Model
+from runtime.gpu.textures import prepare
 
 
 def in_words(asset: Asset) -> Asset:

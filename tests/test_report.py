@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from builders_erase import make_cube
 
-from preprocess.images import Image, write_image
-from preprocess.report import write_report
+from preprocess.export.report import write_report
+from preprocess.files.images import Image, write_image
 
 VOID = {"meta", "img", "br"}
 

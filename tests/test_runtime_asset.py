@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from builders_asset import build_ball, lod_mesh, weights_at
 
-from preprocess.geometry.weights import pack_weights, unpack_weights
-from preprocess.images import Image, read_image, write_image
-from runtime.asset import load
+from preprocess.files.images import Image, read_image, write_image
+from preprocess.fit.weight_stack import pack_weights, unpack_weights
+from runtime.asset.asset import load
 from runtime.errors import AssetError
-from runtime.weight_cells import MORE_RECORDS, WeightCells, build_weight_cells
+from runtime.gpu.weight_records import MORE_RECORDS, WeightCells, build_weight_cells
 
 
 @pytest.fixture
@@ -107,7 +107,7 @@ def test_missing_folders_and_files_are_named(folder: Path, tmp_path: Path) -> No
 
 def test_importing_the_runtime_is_quick_and_needs_nothing_of_preprocessing() -> None:
     code = (
-        "import sys, time; t = time.process_time(); import runtime, runtime.asset, runtime.renderer\n"
+        "import sys, time; t = time.process_time(); import runtime, runtime.asset.asset, runtime.render.renderer\n"
         "print(time.process_time() - t)\n"
         "bad = [m for m in ('scipy', 'numba', 'preprocess', 'OpenImageIO', 'pygltflib', 'glfw') if m in sys.modules]\n"
         "assert not bad, bad"

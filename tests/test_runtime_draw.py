@@ -15,17 +15,17 @@ from builders_asset import build_ball, surface_corners, weights_at
 from builders_scene import SIDE_PX, Scene
 
 import runtime
-from preprocess.geometry.weights import unpack_weights
-from preprocess.texels import sample_bilinear
-from runtime import gl_state
-from runtime.asset import Asset, load
-from runtime.camera import Camera
-from runtime.environment import Environment, Lighting
+from preprocess.fit.weight_stack import unpack_weights
+from preprocess.mesh.texels import sample_bilinear
+from runtime.asset.asset import Asset, load
 from runtime.errors import RenderError
-from runtime.gl_state import saved_state
-from runtime.gpu_textures import fill_texture, make_texture
-from runtime.programs import build_program
-from runtime.views import VIEWS
+from runtime.gpu import gl_state
+from runtime.gpu.gl_state import saved_state
+from runtime.gpu.programs import build_program
+from runtime.gpu.textures import fill_texture, make_texture
+from runtime.render.views import VIEWS
+from runtime.scene.camera import Camera
+from runtime.scene.lighting import Environment, Lighting
 
 
 @pytest.mark.parametrize("view", [*VIEWS])
@@ -45,10 +45,10 @@ def test_every_view_draws_the_body_and_nothing_else(scene: Scene, view: str, tes
 
 def test_positions_follow_the_textures_to_float_rounding(scene: Scene, ball: Asset) -> None:
     """GPU positions against float64 skinning of the same texels, through the position picture of one flat view."""
-    from runtime.gl_state import functions, saved_state
-    from runtime.gpu_levels import INSTANCE
-    from runtime.gpu_textures import TEXTURE_UNITS
-    from runtime.programs import assemble
+    from runtime.gpu.gl_state import functions, saved_state
+    from runtime.gpu.lod_buffers import INSTANCE
+    from runtime.gpu.programs import assemble
+    from runtime.gpu.textures import TEXTURE_UNITS
 
     ctx, model = scene.ctx, scene.model
     mesh = ball.lods[0]
@@ -278,7 +278,7 @@ def test_what_a_material_lacks_is_left_out_unseen(scene: Scene, view: str, monke
     lean = scene.picture([actor], view=view)
     assert any("NO_CUTOUT" in key for key in scene.renderer._passes._programs)
     scene.model.define_names.clear()
-    monkeypatch.setattr("runtime.passes.what_it_lacks", lambda model, material: model.channels.defines)
+    monkeypatch.setattr("runtime.render.passes.what_it_lacks", lambda model, material: model.channels.defines)
     assert (scene.picture([actor], view=view) == lean).all()
     assert any("NO_CUTOUT" not in key for key in scene.renderer._passes._programs)
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from builders_asset import build_ball
 
-from runtime.asset import load
-from runtime.camera import Camera
-from runtime.dual_quaternions import joint_texels, quaternion_product, quaternions
+from runtime.animation.dual_quaternions import joint_texels, quaternion_product, quaternions
+from runtime.animation.skeleton import rotation_matrices
+from runtime.asset.asset import load
 from runtime.errors import RenderError
-from runtime.gpu_asset import Model
-from runtime.renderer import Renderer
-from runtime.skeleton import rotation_matrices
+from runtime.gpu.model import Model
+from runtime.render.renderer import Renderer
+from runtime.scene.camera import Camera
 
 
 def random_rotations(count: int, seed: int = 0) -> np.ndarray:

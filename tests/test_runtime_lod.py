@@ -13,15 +13,15 @@ import pytest
 from builders_asset import CHART, build_ball, chart_origin, surface_point
 from scipy.ndimage import distance_transform_edt
 
-from preprocess.texels import sample_bilinear
-from runtime.actor import joint_boxes_of
-from runtime.asset import Asset, load
-from runtime.bounds import box_around, pose_bounds
-from runtime.camera import Camera, CameraMatrices, MatrixCamera
+from preprocess.mesh.texels import sample_bilinear
+from runtime.animation.bounds import box_around, pose_bounds
+from runtime.asset.asset import Asset, load
 from runtime.errors import RenderError
-from runtime.gpu_asset import Model
-from runtime.lod import HYSTERESIS, Quality, around_eye, choose_levels, measure
-from runtime.renderer import Renderer
+from runtime.gpu.model import Model
+from runtime.render.renderer import Renderer
+from runtime.scene.actor import joint_boxes_of
+from runtime.scene.camera import Camera, CameraMatrices, MatrixCamera
+from runtime.scene.lod_selection import HYSTERESIS, Quality, around_eye, choose_levels, measure
 
 SIDE_PX = 256
 ERRORS = np.array([0.0, 0.002, 0.01, 0.05, 0.2])
@@ -367,7 +367,7 @@ def test_drawn_levels_are_remembered_per_actor(ctx: moderngl.Context, ball: Asse
 def test_bounds_hold_every_vertex_of_every_moment(ctx: moderngl.Context, ball: Asset) -> None:
     model = Model(ctx, ball)
     mesh = ball.lods[0]
-    from preprocess.geometry.weights import unpack_weights
+    from preprocess.fit.weight_stack import unpack_weights
 
     rest = sample_bilinear(ball.textures["position"].levels[0], mesh.owner_uvs)
     stored = unpack_weights(ball.textures["weights"].levels[0], ball.weight_size, ball.num_joints)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from preprocess.texels import sample_bilinear
-from runtime.patch_faults import SEGMENTS, _fetch, _grid, distance_to_triangles, faulty_faces, keep_flat
-from runtime.patches import build_patches, corner_uvs, place_corners, surface_copies
+from preprocess.mesh.texels import sample_bilinear
+from runtime.gpu.patch_validation import SEGMENTS, _fetch, _grid, distance_to_triangles, faulty_faces, keep_flat
+from runtime.gpu.patches import build_patches, corner_uvs, place_corners, surface_copies
 
 SIZE = 33
 

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from builders_scene import Scene
 
-from runtime import gl_state
-from runtime.asset import Asset
-from runtime.camera import Camera, MatrixCamera, framing
-from runtime.environment import Environment, Lighting
+from runtime.asset.asset import Asset
 from runtime.errors import RenderError
-from runtime.gpu_asset import Model
-from runtime.renderer import Renderer
-from runtime.views import VIEWS
+from runtime.gpu import gl_state
+from runtime.gpu.model import Model
+from runtime.render.renderer import Renderer
+from runtime.render.views import VIEWS
+from runtime.scene.camera import Camera, MatrixCamera, framing
+from runtime.scene.lighting import Environment, Lighting
 
 
 def uniform_binding(gl: gl_state.Functions, binding: int) -> tuple[int, int, int]:

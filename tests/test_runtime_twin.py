@@ -15,21 +15,21 @@ import pytest
 from builders_scene import SIDE_PX
 
 from benchmarks._points import MIN_VERSION_CODE, PointCapture
-from preprocess.geometry.weight_details import sample_weights
-from preprocess.geometry.weights import unpack_weights
-from preprocess.texels import sample_bilinear
-from runtime.asset import Asset, load
-from runtime.camera import framing
-from runtime.dual_quaternions import joint_texels, quaternion_product
-from runtime.gl_state import functions, saved_state
-from runtime.gpu_asset import Model
-from runtime.gpu_levels import INSTANCE
-from runtime.gpu_textures import TEXTURE_UNITS, prepare
-from runtime.patch_faults import divided_patches
-from runtime.patches import EDGES, corner_uvs
-from runtime.pose import sample, skinning_rows
-from runtime.programs import assemble
-from runtime.renderer import SKINNING
+from preprocess.fit.weight_quadtree import sample_weights
+from preprocess.fit.weight_stack import unpack_weights
+from preprocess.mesh.texels import sample_bilinear
+from runtime.animation.dual_quaternions import joint_texels, quaternion_product
+from runtime.animation.pose import sample, skinning_rows
+from runtime.asset.asset import Asset, load
+from runtime.gpu.gl_state import functions, saved_state
+from runtime.gpu.lod_buffers import INSTANCE
+from runtime.gpu.model import Model
+from runtime.gpu.patch_validation import divided_patches
+from runtime.gpu.patches import EDGES, corner_uvs
+from runtime.gpu.programs import assemble
+from runtime.gpu.textures import TEXTURE_UNITS, prepare
+from runtime.render.renderer import SKINNING
+from runtime.scene.camera import framing
 
 ROUNDING = 4e-6  # of the body's diagonal: some dozen operations in 32 bits
 KEY_STEPS = 65535 * 16  # uvs come back from the GPU to within a step in the last place

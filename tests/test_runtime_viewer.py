@@ -11,8 +11,8 @@ from builders_asset import build_ball
 from demos.options import VIEW_NAMES, Parser, add_arguments
 from demos.orbit import Orbit
 from demos.viewer import main
-from preprocess.images import read_image
-from runtime.camera import Camera, framing
+from preprocess.files.images import read_image
+from runtime.scene.camera import Camera, framing
 
 
 @pytest.fixture(scope="module")

@@ -9,12 +9,12 @@ import moderngl
 import numpy as np
 import pytest
 
-from preprocess.texels import bilinear_stencil, sample_bilinear, uv_to_px
+from preprocess.mesh.texels import bilinear_stencil, sample_bilinear, uv_to_px
 from runtime.errors import RenderError
-from runtime.gl_state import SHADER_STAGES, compile_shader, functions
-from runtime.passes import PATCH_STAGES
-from runtime.programs import assemble, build_program, require_version
-from runtime.views import LINES, VIEWS
+from runtime.gpu.gl_state import SHADER_STAGES, compile_shader, functions
+from runtime.gpu.programs import assemble, build_program, require_version
+from runtime.render.passes import PATCH_STAGES
+from runtime.render.views import LINES, VIEWS
 
 SHADERS = Path(__file__).resolve().parent.parent / "shaders"
 BLOCK = {"JOINT_BLOCK_ROWS": 1020}

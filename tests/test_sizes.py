@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from preprocess.geometry.sizes import (
+from preprocess.arrays import Floats
+from preprocess.fit.position_sizes import (
     GEOMETRY_SIZES_PX,
     STRIDE,
     WEIGHT_SIZES_PX,
@@ -14,8 +15,8 @@ from preprocess.geometry.sizes import (
     stray_rms,
     weight_side,
 )
-from preprocess.mesh import Floats, TexturedSurface
-from preprocess.texels import px_to_uv
+from preprocess.mesh.surface import TexturedSurface
+from preprocess.mesh.texels import px_to_uv
 
 
 def a_square(height_m: float = 0.0) -> TexturedSurface:

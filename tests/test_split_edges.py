@@ -7,9 +7,9 @@ import itertools
 import numpy as np
 import pytest
 
-from preprocess.mesh import SkinnedMesh, TexturedSurface
-from preprocess.seams import find_seams
-from preprocess.split_edges import apply_split, split_edges
+from preprocess.mesh.seams import find_seams
+from preprocess.mesh.split_edges import apply_split, split_edges
+from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
 from tests.builders_straighten import moebius, ring_in_square, tube, two_charts
 
 

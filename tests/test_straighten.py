@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from preprocess.errors import InputError
-from preprocess.mesh import TexturedSurface
-from preprocess.seams import find_seams
+from preprocess.mesh.seams import find_seams
+from preprocess.mesh.surface import TexturedSurface
 from preprocess.straighten import straighten
 from preprocess.straighten.chains import find_chains
 from preprocess.straighten.driver import Straightened

@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 
 from preprocess.__main__ import main
-from preprocess.images import Image, read_image, write_image
-from preprocess.mesh import TexturedSurface
-from preprocess.obj import read_obj, write_obj
-from preprocess.seams import find_seams
+from preprocess.files.images import Image, read_image, write_image
+from preprocess.files.obj import read_obj, write_obj
+from preprocess.mesh.seams import find_seams
+from preprocess.mesh.surface import TexturedSurface
+from preprocess.mesh.texels import sample_bilinear
 from preprocess.straighten import straighten
 from preprocess.straighten.chains import Chains, find_chains
 from preprocess.straighten.overlap import find_meeting_segments, find_swept_runs
 from preprocess.straighten.remap import AREA_WEIGHT, _energy, chart_of_faces, find_rest_shapes, relative_areas
 from preprocess.straighten.simplify import simplify_chains, straight_points
 from preprocess.straighten.warp import find_warp
-from preprocess.texels import sample_bilinear
 from tests.builders_straighten import moebius, ring_in_square, tube, two_charts, with_dart
 
 
@@ -295,7 +295,7 @@ def test_command_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str], ext
 
 def test_human(asset_path: Any) -> None:
     """The paper's case: most of the seams' length can collapse at the default tolerance, and the floor is low."""
-    from preprocess.obj import read_surface
+    from preprocess.load.read_surface import read_surface
 
     surface = read_surface(asset_path("human.glb"))
     result = straighten(surface)

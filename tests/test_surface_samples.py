@@ -11,14 +11,14 @@ from builders_erase import make_pair
 from builders_gltf import GltfBuilder, cube, grid
 from test_erase_limit import LIMIT, LINES, SEAMS, SIZE, SURFACE, fault, striped, waves
 
+from preprocess.bake.materials import normal_tangents
+from preprocess.bake.seam_points import NEAR_PX, near_lines, points_near_seams, spread_points
 from preprocess.erase import EraseOptions, erase_mips
 from preprocess.erase.options import LOCAL
-from preprocess.gltf import load_character
-from preprocess.gltf.tangents import corner_tangents
-from preprocess.seams import find_seams
-from preprocess.texels import uv_to_px
-from preprocess.textures.materials import normal_tangents
-from preprocess.textures.surface_samples import NEAR_PX, near_lines, points_near_seams, spread_points
+from preprocess.load import load_character
+from preprocess.load.tangents import corner_tangents
+from preprocess.mesh.seams import find_seams
+from preprocess.mesh.texels import uv_to_px
 
 
 def test_points_are_even_over_the_surface() -> None:

@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 
 from preprocess.decimate import Lod
-from preprocess.geometry.uv_steps import snap_levels, snap_mesh
-from preprocess.mesh import SkinnedMesh, TexturedSurface
-from preprocess.texels import OWNER_STEPS
-from runtime.gpu_levels import vertex_attributes, vertex_bytes
-from runtime.lods import LodMesh
+from preprocess.fit.uv_quantisation import snap_levels, snap_mesh
+from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
+from preprocess.mesh.texels import UV_STEPS
+from runtime.asset.lod_mesh import LodMesh
+from runtime.gpu.lod_buffers import vertex_attributes, vertex_bytes
 
 CORNERS = np.array([(0.1, 0.2), (0.9, 0.2), (0.4, 0.8), (0.1 + 1e-6, 0.7)])
 FACES = np.array([(0, 1, 2), (0, 2, 3)], np.int32)
@@ -54,8 +54,8 @@ def drawn(uvs: np.ndarray) -> LodMesh:
 def test_uvs_become_the_nearest_steps() -> None:
     mesh = a_mesh(CORNERS)
     snapped = snap_mesh(mesh).surface
-    assert np.array_equal(np.rint(snapped.uvs * OWNER_STEPS) / OWNER_STEPS, snapped.uvs)
-    assert 0.0 < np.abs(snapped.uvs - CORNERS).max() <= 0.5 / OWNER_STEPS
+    assert np.array_equal(np.rint(snapped.uvs * UV_STEPS) / UV_STEPS, snapped.uvs)
+    assert 0.0 < np.abs(snapped.uvs - CORNERS).max() <= 0.5 / UV_STEPS
     assert np.array_equal(mesh.surface.uvs, CORNERS)
     assert np.array_equal(snap_levels([a_level(CORNERS)])[0].uvs, snapped.uvs)
 
@@ -67,7 +67,7 @@ def test_snapping_again_changes_nothing() -> None:
 
 def test_faces_keep_their_side() -> None:
     # At row 15 the edge from (10, 10) to (13, 21) is at column 11.36: 11.42 is to the right of it, 11 to the left.
-    thin = np.array([(10, 10), (4000, 15), (13, 21), (11.42, 15)]) / OWNER_STEPS
+    thin = np.array([(10, 10), (4000, 15), (13, 21), (11.42, 15)]) / UV_STEPS
     mesh = a_mesh(thin)
     assert snap_mesh(mesh) is mesh
 
@@ -105,4 +105,4 @@ def test_a_vertex_takes_eight_bytes_in_steps_and_sixteen_in_floats() -> None:
         assert vertex_attributes([fine, level]) == attributes  # all levels of a model are alike
     assert sizes == {"steps": 8, "owner": 12, "own": 12, "none": 16}
     steps = np.frombuffer(vertex_bytes(fine, vertex_attributes([fine])), np.uint16).reshape(-1, 4)
-    assert np.array_equal((steps / OWNER_STEPS).astype(np.float32), np.c_[fine.uvs, fine.owner_uvs])
+    assert np.array_equal((steps / UV_STEPS).astype(np.float32), np.c_[fine.uvs, fine.owner_uvs])

@@ -12,16 +12,16 @@ import pytest
 from builders_asset import CENTRE, RADII, build_ball, surface_point
 
 from benchmarks._points import MIN_VERSION_CODE, PointCapture, differing_points
-from runtime.asset import Asset, load
-from runtime.camera import Camera
-from runtime.gl_state import saved_state
-from runtime.gpu_asset import Model
-from runtime.gpu_levels import INSTANCE
-from runtime.gpu_textures import TEXTURE_UNITS
-from runtime.lods import LodMesh
-from runtime.patches import build_patches
-from runtime.programs import assemble
-from runtime.renderer import Renderer
+from runtime.asset.asset import Asset, load
+from runtime.asset.lod_mesh import LodMesh
+from runtime.gpu.gl_state import saved_state
+from runtime.gpu.lod_buffers import INSTANCE
+from runtime.gpu.model import Model
+from runtime.gpu.patches import build_patches
+from runtime.gpu.programs import assemble
+from runtime.gpu.textures import TEXTURE_UNITS
+from runtime.render.renderer import Renderer
+from runtime.scene.camera import Camera
 
 SIDE_PX = 384
 NUM_FRAMES = 6

@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from preprocess.geometry.shared_leaves import share_corners
-from preprocess.geometry.weight_details import (
+from preprocess.fit.shared_records import share_corners
+from preprocess.fit.weight_quadtree import (
     WEIGHT_ALLOWED,
     WeightPoints,
     dense_leaves,
@@ -16,12 +16,10 @@ from preprocess.geometry.weight_details import (
     pose_moves,
     sample_weights,
 )
-from preprocess.geometry.weights import pack_weights, unpack_weights
-from preprocess.texels import sample_bilinear
-from runtime.errors import AssetError
-from runtime.touched_cells import touched_cells
-from runtime.weight_cells import MORE_RECORDS, RECORDS_WIDTH, WeightCells, build_weight_cells
-from runtime.weight_details import (
+from preprocess.fit.weight_stack import pack_weights, unpack_weights
+from preprocess.mesh.texels import sample_bilinear
+from runtime.asset.texel_footprint import touched_cells
+from runtime.asset.weight_quadtree import (
     WeightDetails,
     build_quadtree,
     details_size,
@@ -29,6 +27,8 @@ from runtime.weight_details import (
     pack_details,
     unpack_details,
 )
+from runtime.errors import AssetError
+from runtime.gpu.weight_records import MORE_RECORDS, RECORDS_WIDTH, WeightCells, build_weight_cells
 
 NUM_JOINTS = 6
 ALLOWED = 5e-4

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from preprocess.erase import measure_seams
-from preprocess.geometry import words as stage
-from preprocess.geometry.words import are_worth_it, round_positions
-from preprocess.mesh import TexturedSurface
-from preprocess.seams import find_seams
-from preprocess.texels import px_to_uv, sample_bilinear
+from preprocess.fit import packed_positions as stage
+from preprocess.fit.packed_positions import are_worth_it, round_positions
+from preprocess.mesh.seams import find_seams
+from preprocess.mesh.surface import TexturedSurface
+from preprocess.mesh.texels import px_to_uv, sample_bilinear
+from runtime.asset.packed_positions import MOST_BITS, WORD_BITS, choose_words, read_words
 from runtime.errors import AssetError
-from runtime.position_words import MOST_BITS, WORD_BITS, choose_words, read_words
 
 SIDE = 24
 
@@ -85,7 +85,7 @@ def test_words_that_make_no_sense_are_refused(change: dict[str, object]) -> None
 
 @pytest.mark.parametrize("jump_weight", [1e-6, 1.0, 1e6])
 def test_vertices_and_seams_are_better_than_rounded(monkeypatch: pytest.MonkeyPatch, jump_weight: float) -> None:
-    monkeypatch.setattr("runtime.position_words.WORD_BITS", 18)  # steps of a thirtieth of the size
+    monkeypatch.setattr("runtime.asset.packed_positions.WORD_BITS", 18)  # steps of a thirtieth of the size
     monkeypatch.setattr(stage, "JUMP_WEIGHT", jump_weight)
     surface, texels = two_charts(), smooth_texels()
     seams = find_seams(surface)

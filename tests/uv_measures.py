@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from preprocess.mesh import Floats, TexturedSurface
-from preprocess.seams import find_seams
+from preprocess.arrays import Floats
+from preprocess.mesh.seams import find_seams
+from preprocess.mesh.surface import TexturedSurface
 
 
 def uv_areas(surface: TexturedSurface) -> Floats:

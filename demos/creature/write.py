@@ -14,7 +14,7 @@ from demos.creature.motion import Motion, to_quaternions
 from demos.creature.paint import Textures
 from demos.creature.skeleton import Joints
 from demos.creature.texels import BodyMesh
-from preprocess.images import Image, write_image
+from preprocess.files.images import Image, write_image
 
 _ARRAY, _ELEMENTS = gltf.ARRAY_BUFFER, gltf.ELEMENT_ARRAY_BUFFER
 

@@ -20,15 +20,15 @@ from numpy.typing import NDArray
 
 from preprocess.atlas.crowding import measure_crowding
 from preprocess.atlas.measure import measure_coverage, measure_stretch, straight_share
-from preprocess.atlas.overlap import find_overlap
-from preprocess.atlas.predicates import face_orientation
 from preprocess.atlas.repack import find_charts, repack_charts
-from preprocess.atlas.topology import cut_edges, find_edges, label_faces
 from preprocess.atlas.unwrap import unwrap
 from preprocess.decimate import decimate_to
 from preprocess.errors import InputError
-from preprocess.mesh import SkinnedMesh
-from preprocess.split_edges import apply_split
+from preprocess.mesh.edges import cut_edges, find_edges, label_faces
+from preprocess.mesh.predicates import face_orientation
+from preprocess.mesh.split_edges import apply_split
+from preprocess.mesh.surface import SkinnedMesh
+from preprocess.mesh.uv_overlap import find_overlap
 from preprocess.straighten import straighten
 
 log = logging.getLogger(__name__)

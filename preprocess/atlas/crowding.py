@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from preprocess.atlas.topology import cut_edges, find_edges, label_faces
-from preprocess.jit import entry
-from preprocess.mesh import TexturedSurface
-from preprocess.texels import uv_to_px
+from preprocess.mesh.edges import cut_edges, find_edges, label_faces
+from preprocess.mesh.surface import TexturedSurface
+from preprocess.mesh.texels import uv_to_px
+from preprocess.numerics.jit import entry
 
 
 def measure_crowding(surface: TexturedSurface, size_px: int) -> float:

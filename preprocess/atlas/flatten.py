@@ -17,9 +17,9 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from preprocess.atlas.predicates import count_folds
-from preprocess.atlas.topology import Bools
-from preprocess.mesh import Floats, Ints
+from preprocess.arrays import Floats, Ints
+from preprocess.mesh.edges import Bools
+from preprocess.mesh.predicates import count_folds
 
 log = logging.getLogger(__name__)
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.atlas.topology import Bools, MeshEdges, label_corners, label_faces
-from preprocess.jit import entry
-from preprocess.mesh import Floats, Ints
+from preprocess.arrays import Floats, Ints
+from preprocess.mesh.edges import Bools, MeshEdges, label_corners, label_faces
+from preprocess.numerics.jit import entry
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from preprocess.atlas.topology import face_frames
-from preprocess.mesh import Floats, TexturedSurface
-from preprocess.seams import find_seams
+from preprocess.arrays import Floats
+from preprocess.mesh.edges import face_frames
+from preprocess.mesh.seams import find_seams
+from preprocess.mesh.surface import TexturedSurface
 
 STRAIGHT_REL = 1e-7
 """Sine of the turn, and relative difference of length ratios, up to which seam edges count as one straight run."""

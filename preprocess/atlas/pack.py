@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from preprocess.arrays import Floats, Ints
 from preprocess.errors import InputError
-from preprocess.jit import entry, helper
-from preprocess.mesh import Floats, Ints
+from preprocess.numerics.jit import entry, helper
 
 ROTATIONS = 16
 """Orientations tried, evenly spread, from the one whose bounding box is smallest."""

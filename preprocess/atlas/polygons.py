@@ -11,7 +11,7 @@ import itertools
 
 import numpy as np
 
-from preprocess.mesh import Floats, Ints
+from preprocess.arrays import Floats, Ints
 
 MIN_TURN = np.radians(10.0)
 """Least exterior angle: faces in a flatter corner are stretched far (4°: L∞ 29 on Fox, 10°: 6)."""

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from preprocess.atlas.heap import pop, push
+from preprocess.arrays import Floats
 from preprocess.atlas.layout import Layout
-from preprocess.atlas.topology import Bools, MeshEdges
-from preprocess.jit import entry
-from preprocess.mesh import Floats, TexturedSurface
+from preprocess.atlas.priority_queue import pop, push
+from preprocess.mesh.edges import Bools, MeshEdges
+from preprocess.mesh.surface import TexturedSurface
+from preprocess.numerics.jit import entry
 
 CREASE_DISCOUNT = 0.5
 """Part of its length that an edge loses where its faces meet at 90° or more."""

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from preprocess.jit import entry
-from preprocess.mesh import Floats, TexturedSurface
+from preprocess.arrays import Floats
+from preprocess.mesh.surface import TexturedSurface
+from preprocess.numerics.jit import entry
 
 log = logging.getLogger(__name__)
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from preprocess.atlas.heap import pop, push
-from preprocess.jit import entry, helper
-from preprocess.mesh import Floats, Ints
+from preprocess.arrays import Floats, Ints
+from preprocess.atlas.priority_queue import pop, push
+from preprocess.numerics.jit import entry, helper
 
 COMPACTNESS = 0.25
 """Weight of a centroid's distance, in radii of a fair region, beside the distance of unit normals."""

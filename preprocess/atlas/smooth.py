@@ -13,9 +13,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from preprocess.arrays import Floats, Ints
 from preprocess.atlas.layout import Layout
-from preprocess.jit import entry, helper
-from preprocess.mesh import Floats, Ints, TexturedSurface
+from preprocess.mesh.surface import TexturedSurface
+from preprocess.numerics.jit import entry, helper
 
 MIN_AREA_REL = 1e-5
 """Least area of a uv triangle, relative to the square of its longest edge, that a move may leave."""

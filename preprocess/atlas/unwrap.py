@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from preprocess.arrays import Floats, Ints
 from preprocess.atlas.flatten import flatten_fixed, flatten_free
 from preprocess.atlas.layout import Layout, build_layout, chart_characteristics
 from preprocess.atlas.pack import pack_charts
@@ -23,10 +24,10 @@ from preprocess.atlas.polygons import convex_polygons
 from preprocess.atlas.relax import relax_paths
 from preprocess.atlas.segment import grow_regions
 from preprocess.atlas.smooth import face_energies, smooth_charts
-from preprocess.atlas.topology import Bools, MeshEdges, face_frames, find_edges, label_faces
 from preprocess.errors import InputError
-from preprocess.mesh import Floats, Ints, SkinnedMesh, TexturedSurface
-from preprocess.split_edges import apply_split, split_edges
+from preprocess.mesh.edges import Bools, MeshEdges, face_frames, find_edges, label_faces
+from preprocess.mesh.split_edges import apply_split, split_edges
+from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
 
 log = logging.getLogger(__name__)
 

@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.decimate import rules
-from preprocess.decimate.engine import Engine, make_engine
-from preprocess.decimate.evening import Try, make_even_level, make_level
-from preprocess.decimate.floor import count_floor
-from preprocess.decimate.lod import PEAK_WEIGHT, Chain, DecimateOptions, Lod, Strictness
+from preprocess.decimate.levels import PEAK_WEIGHT, Chain, DecimateOptions, Lod, Strictness
+from preprocess.decimate.lower_bound import count_floor
 from preprocess.decimate.measure import Distances, Reference, make_reference, measure
+from preprocess.decimate.minimax import Try, make_even_level, make_level
+from preprocess.decimate.state import Engine, make_engine
 from preprocess.decimate.topology import build_half_edges, source_uvs
 from preprocess.errors import InputError
-from preprocess.mesh import TexturedSurface
+from preprocess.mesh.surface import TexturedSurface
 
 log = logging.getLogger(__name__)
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
-from preprocess.decimate.departure import hand_over_collapse, largest_departure
-from preprocess.decimate.heap import heap_remove, heap_set
-from preprocess.decimate.jit import SOURCES, entry, helper
+from preprocess.decimate.deviation import hand_over_collapse, largest_departure
+from preprocess.decimate.edge_heap import heap_remove, heap_set
 from preprocess.decimate.placement import best_cost, joint_line, pose_position, propose
 from preprocess.decimate.quadrics import add_rows
 from preprocess.decimate.rules import (
@@ -42,6 +42,9 @@ from preprocess.decimate.rules import (
 )
 from preprocess.decimate.topology import TAIL, TWIN, WEDGE, next_of, previous_of
 from preprocess.decimate.validity import link_holds, placement_holds
+from preprocess.numerics.jit import digest_sources
+from preprocess.numerics.jit import fixed_memory_entry as entry
+from preprocess.numerics.jit import fixed_memory_helper as helper
 
 
 @helper
@@ -310,4 +313,4 @@ def _make_run(sources: int) -> Any:
     return run
 
 
-run = _make_run(SOURCES)
+run = _make_run(digest_sources(Path(__file__).parent))

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.decimate.lod import Lod
-from preprocess.decimate.nearest import NearestTree, build_tree
+from preprocess.arrays import Floats, Ints
+from preprocess.decimate.levels import Lod
 from preprocess.decimate.skinning import Skinning, make_skinning
-from preprocess.mesh import Floats, Ints, TexturedSurface
+from preprocess.mesh.closest_point import NearestTree, build_tree
+from preprocess.mesh.surface import TexturedSurface
 
 # Samples over the area of each mesh, and how many of its vertices besides; with many poses, in each of them.
 NUM_SAMPLES = 8192

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import math
 
-from preprocess.decimate.jit import helper
 from preprocess.decimate.quadrics import (
     FIRST,
     FIVE,
@@ -47,6 +46,7 @@ from preprocess.decimate.rules import (
     other_silhouette,
 )
 from preprocess.decimate.topology import TAIL, TWIN, WEDGE, next_of, previous_of
+from preprocess.numerics.jit import fixed_memory_helper as helper
 
 
 @helper

@@ -6,7 +6,7 @@ quadric lie in a row: the upper triangle of A (15), b (5), c. With both uvs of a
 of its position alone: 10 numbers, the upper triangle of A (6), b (3), c.
 
 All kernels work in normalised units: positions centred and divided by the bounding diagonal, uvs scaled so that they
-are lengths on the surface (see `engine.py`).
+are lengths on the surface (see `state.py`).
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ import math
 
 import numpy as np
 
-from preprocess.decimate.jit import entry, helper
 from preprocess.decimate.topology import TAIL, TWIN, WEDGE
+from preprocess.numerics.jit import fixed_memory_entry as entry
+from preprocess.numerics.jit import fixed_memory_helper as helper
 
 SIZE = 21
 SYSTEM_ROW = 8  # of the scratch table, see rules.Mesh

@@ -28,9 +28,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.decimate.by_reference import by_reference
-from preprocess.decimate.jit import helper
 from preprocess.decimate.topology import TAIL, TWIN, WEDGE, next_of, previous_of
+from preprocess.numerics.jit import fixed_memory_helper as helper
+from preprocess.numerics.kernel_arguments import by_reference
 
 # Why an edge does not collapse. The first four come from the table, the others from the state of the mesh.
 ALLOWED, VIRTUAL, TWO_SILHOUETTES, NO_FREE_END, LINK, FLIP = 0, 1, 2, 3, 4, 5
@@ -88,13 +88,13 @@ class Mesh(NamedTuple):
     settings : (8,) float64, counter : (8,) int64
         See the slots below.
     heap_cost : (3 F',) float64, heap_item : (3 F',) int64
-        See heap.py.
+        See edge_heap.py.
     points : (S, 4 + 6 Q) float64
-        See witnesses.py. Pose q > 0 of the witnesses is pose q - 1 of `pose`.
+        See deviation_samples.py. Pose q > 0 of the witnesses is pose q - 1 of `pose`.
     witnesses : (S, 3) int64
         The one FOLLOWING over the same face (-1 for none); scratch: a list of those GATHERED, ITS_CHART of each.
     fan : (N, 9 + 9 Q) float64
-        Scratch: see departure.py.
+        Scratch: see deviation.py.
     """
 
     links: NDArray[np.int64]

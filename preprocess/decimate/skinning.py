@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.decimate.nearest import NearestTree, build_tree
-from preprocess.mesh import Floats
+from preprocess.arrays import Floats
+from preprocess.mesh.closest_point import NearestTree
+from preprocess.mesh.uv_lookup import locate_uvs, uv_tree
 
 
 @dataclass(frozen=True)
@@ -35,19 +36,6 @@ class Skinning:
             return np.zeros((0, len(uvs), 3, 4))
         faces, weights = locate_uvs(self.tree, uvs)
         return np.einsum("nk,pnkij->pnij", weights, self.matrices[:, self.corners[faces]])
-
-
-def uv_tree(corner_uvs: Floats) -> NearestTree:
-    """Faces as triangles of the atlas, from their corners (F, 3, 2)."""
-    flat = np.zeros((*corner_uvs.shape[:2], 3))
-    flat[..., :2] = corner_uvs
-    return build_tree(flat)
-
-
-def locate_uvs(tree: NearestTree, uvs: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """The face at each place of the atlas (N, 2), or nearest to it: faces (N,), barycentric coordinates (N, 3)."""
-    _, faces, weights = tree.query(np.c_[uvs, np.zeros(len(uvs))])
-    return faces, weights
 
 
 def make_skinning(matrices: Floats, corners: NDArray[np.integer], corner_uvs: Floats) -> Skinning:

@@ -15,10 +15,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from preprocess.decimate.jit import helper
-from preprocess.decimate.lod import Repairs
+from preprocess.arrays import Floats, Ints
+from preprocess.decimate.levels import Repairs
 from preprocess.errors import InputError
-from preprocess.mesh import Floats, Ints, TexturedSurface
+from preprocess.mesh.surface import TexturedSurface
+from preprocess.numerics.jit import fixed_memory_helper as helper
 
 Longs = NDArray[np.int64]
 

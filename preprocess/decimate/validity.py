@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from preprocess.decimate.jit import helper
 from preprocess.decimate.rules import MARK, MIN_NORMAL_DOT, MIN_SHAPE, MIN_UV_HEIGHT, SIGN, STAMP, is_silhouette
 from preprocess.decimate.topology import TAIL, TWIN, WEDGE, next_of, previous_of
+from preprocess.numerics.jit import fixed_memory_helper as helper
 
 
 @helper

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.decimate.jit import entry
-from preprocess.mesh import Ints
+from preprocess.arrays import Ints
+from preprocess.numerics.jit import fixed_memory_entry as entry
 
 CACHE_SIZE = 16
 

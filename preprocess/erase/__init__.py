@@ -1,12 +1,12 @@
 """Seam erasure: textures whose bilinear samples agree on both sides of every seam."""
 
 from preprocess.erase.eraser import Erased, Eraser
-from preprocess.erase.faults import Decision, choose_color_seams, choose_normal_seams, draw_decision
 from preprocess.erase.mips import Level, erase_mips
 from preprocess.erase.options import GLOBAL, LOCAL, EraseOptions, Weights
-from preprocess.erase.plan import erase, plan_erasure
+from preprocess.erase.prepare import erase, plan_erasure
 from preprocess.erase.quantise import quantise
-from preprocess.erase.strip import SeamMeasure, SeamStrip, build_strip, measure_seams
+from preprocess.erase.seam_classification import Decision, choose_color_seams, choose_normal_seams, draw_decision
+from preprocess.erase.seam_samples import SeamMeasure, SeamStrip, build_strip, measure_seams
 
 __all__ = [
     "GLOBAL",

@@ -16,13 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from preprocess import cholesky
+from preprocess.arrays import Floats
+from preprocess.erase.energies import lerp_targets
 from preprocess.erase.grid import Grid
 from preprocess.erase.intervals import Intervals
 from preprocess.erase.matrix import GRADIENT_MASS, outside_force
 from preprocess.erase.options import EraseOptions
+from preprocess.erase.prolongation import spread_far, spread_near
 from preprocess.erase.quantise import round_strip
 from preprocess.erase.region import Region, silhouette_ends
+from preprocess.erase.seam_samples import SeamMeasure, SeamStrip, build_strip, measure_intervals
 from preprocess.erase.solve import (
     BOUND_TOLERANCE_REL,
     LIMIT_REPEATS,
@@ -33,12 +36,10 @@ from preprocess.erase.solve import (
     solve_change,
     solve_limited,
 )
-from preprocess.erase.spread import spread_far, spread_near
-from preprocess.erase.strip import SeamMeasure, SeamStrip, build_strip, measure_intervals
-from preprocess.erase.terms import lerp_targets
-from preprocess.mesh import Floats, TexturedSurface
-from preprocess.seams import Seams
-from preprocess.texels import bilinear_stencil
+from preprocess.mesh.seams import Seams
+from preprocess.mesh.surface import TexturedSurface
+from preprocess.mesh.texels import bilinear_stencil
+from preprocess.numerics import cholesky
 
 logger = logging.getLogger(__name__)
 

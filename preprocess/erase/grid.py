@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from preprocess.arrays import Floats
 from preprocess.erase.region import Region
-from preprocess.mesh import Floats
 
 
 @dataclass(frozen=True)

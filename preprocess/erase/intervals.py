@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.mesh import Floats
-from preprocess.texels import uv_to_px
+from preprocess.arrays import Floats
+from preprocess.mesh.texels import uv_to_px
 
 # Crossings closer than this fraction of an edge are one crossing: rounding noise would otherwise make an interval.
 MERGE_REL = 1e-10

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from preprocess.arrays import Floats
+from preprocess.erase.energies import to_rows
 from preprocess.erase.grid import Grid
-from preprocess.erase.terms import to_rows
-from preprocess.mesh import Floats
 
 # Weight of one grid edge in the gradient energies, as in the authors' program, where the four edges round an
 # interior texel add up to a diagonal of one.

@@ -18,14 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from preprocess.color import linear_to_srgb, srgb_to_linear
+from preprocess.arrays import Floats
 from preprocess.erase.eraser import Eraser
 from preprocess.erase.options import DEFAULT_OPTIONS, EraseOptions
-from preprocess.erase.plan import plan_erasure
+from preprocess.erase.prepare import plan_erasure
 from preprocess.erase.quantise import quantise
-from preprocess.erase.strip import SeamMeasure
-from preprocess.mesh import Floats, TexturedSurface
-from preprocess.seams import Seams
+from preprocess.erase.seam_samples import SeamMeasure
+from preprocess.files.srgb import linear_to_srgb, srgb_to_linear
+from preprocess.mesh.seams import Seams
+from preprocess.mesh.surface import TexturedSurface
 
 # The jump that a stored level may have at most; and shares of the limit asked for (or of one that leaves rounding some
 # room) that are tried where a level exceeds it.

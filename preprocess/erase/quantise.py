@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from preprocess.erase.pair_moves import best_pair
-from preprocess.erase.strip import SeamStrip
-from preprocess.mesh import Floats
+from preprocess.arrays import Floats
+from preprocess.erase.seam_samples import SeamStrip
+from preprocess.erase.two_opt import best_pair
 
 Singles = NDArray[np.float32]
 

@@ -13,10 +13,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from preprocess.arrays import Floats
 from preprocess.erase.intervals import Intervals, split_edges
-from preprocess.mesh import Floats, TexturedSurface
-from preprocess.seams import Seams
-from preprocess.texels import bilinear_stencil, uv_to_px
+from preprocess.mesh.seams import Seams
+from preprocess.mesh.surface import TexturedSurface
+from preprocess.mesh.texels import bilinear_stencil, uv_to_px
 
 # Texel centres this close to a triangle count as inside, so that no centre on a shared edge falls between two.
 RASTER_SLACK_PX = 1e-7

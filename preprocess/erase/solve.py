@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from preprocess import cholesky
-from preprocess.cholesky import factor_symmetric
-from preprocess.dissection import order_by_dissection
-from preprocess.erase.strip import SeamStrip
-from preprocess.mesh import Floats
+from preprocess.arrays import Floats
+from preprocess.erase.seam_samples import SeamStrip
+from preprocess.numerics import cholesky
+from preprocess.numerics.cholesky import factor_symmetric
+from preprocess.numerics.nested_dissection import order_by_dissection
 
 MAX_REPEATS = 60
 

@@ -6,7 +6,7 @@ places where a seam meets the mesh's boundary, and pinched uv vertices. The path
 with two uv copies (seams) or one (boundaries). A closed loop without a corner is a chain that ends where it starts.
 
 Unlike the authors' rule, ears (triangles with two silhouette edges) and their neighbours are no corners: the edge that
-would lie on a straight run with its whole triangle is split instead (see `preprocess.split_edges`).
+would lie on a straight run with its whole triangle is split instead (see `preprocess.mesh.split_edges`).
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.jit import entry
-from preprocess.mesh import Floats, Ints, TexturedSurface
-from preprocess.seams import find_seams
+from preprocess.arrays import Floats, Ints
+from preprocess.mesh.seams import find_seams
+from preprocess.mesh.surface import TexturedSurface
+from preprocess.numerics.jit import entry
 
 Int64s = NDArray[np.int64]
 Bools = NDArray[np.bool_]

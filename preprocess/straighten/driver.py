@@ -15,8 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.mesh import Floats, Ints, TexturedSurface
-from preprocess.split_edges import EdgeSplit, split_edges
+from preprocess.arrays import Floats, Ints
+from preprocess.mesh.split_edges import EdgeSplit, split_edges
+from preprocess.mesh.surface import TexturedSurface
 from preprocess.straighten.chains import Chains, find_chains
 from preprocess.straighten.remap import (
     LEAST_AREA,

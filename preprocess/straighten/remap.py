@@ -25,8 +25,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
-from preprocess.jit import entry
-from preprocess.mesh import Floats, TexturedSurface
+from preprocess.arrays import Floats
+from preprocess.mesh.surface import TexturedSurface
+from preprocess.numerics.jit import entry
 
 Bools = NDArray[np.bool_]
 

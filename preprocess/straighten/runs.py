@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.mesh import Floats, TexturedSurface
+from preprocess.arrays import Floats
+from preprocess.mesh.surface import TexturedSurface
 from preprocess.straighten.chains import Chains
 from preprocess.straighten.overlap import find_meeting_segments, find_swept_runs
 from preprocess.straighten.simplify import joint_points, run_ends

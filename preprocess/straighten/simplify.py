@@ -15,8 +15,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.jit import entry, helper
-from preprocess.mesh import Floats, Ints
+from preprocess.arrays import Floats, Ints
+from preprocess.numerics.jit import entry, helper
 from preprocess.straighten.chains import Chains
 
 Bools = NDArray[np.bool_]

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.jit import entry
-from preprocess.mesh import Floats, TexturedSurface
-from preprocess.raster import Coverage, clamp_extrapolation, fill_outside, rasterise
-from preprocess.resample import sample_footprints
-from preprocess.texels import uv_to_px
+from preprocess.arrays import Floats
+from preprocess.files.resample import sample_footprints
+from preprocess.mesh.raster import Coverage, clamp_extrapolation, fill_outside, rasterise
+from preprocess.mesh.surface import TexturedSurface
+from preprocess.mesh.texels import uv_to_px
+from preprocess.numerics.jit import entry
 
 REACH_PX = 3.0  # how far beside a chart its faces are continued: bilinear samples, and one mip level more
 DENSER = 1.25  # old texels a new one beyond which it averages its footprint

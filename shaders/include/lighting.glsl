@@ -8,7 +8,7 @@
 
 #include "surface.glsl"
 
-// Light by direction (runtime/light_map.py): tiles of two half spheres laid flat stereographically, the upper one left.
+// Light by direction (runtime/gpu/environment_map.py): tiles of two half spheres laid flat stereographically, the upper one left.
 // Mirrored light has a tile for each of 33 steps of roughness, in three columns of which each is half as large as the
 // one before; one more tile holds the light from all around on a white sheet. No smaller levels: a driver that filters
 // on the processor samples a texture that has some at twice the price, even where it is told which to take.

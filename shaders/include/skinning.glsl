@@ -1,17 +1,17 @@
 // A point of the animated surface from its place in the atlas (paper, sections 7 and 8).
 //
-// Positions are one bilinear sample. Joint weights come in records a 2 x 2 cell of the weight map (runtime/weight_cells.py):
+// Positions are one bilinear sample. Joint weights come in records a 2 x 2 cell of the weight map (runtime/gpu/weight_records.py):
 // a palette of joints, and the weights of these at the cell's four texels. All four texels share the palette, so the
 // blend is exact, with any number of joints, and continuous from cell to cell. A record is one fetch: three joints with
 // their weights, and the last of a cell's records names one more joint, to which goes what the others left of one.
-// Where the map is too coarse, a cell's record names four others, one a quarter (runtime/weight_details.py).
+// Where the map is too coarse, a cell's record names four others, one a quarter (runtime/asset/weight_quadtree.py).
 #ifndef SKINNING_GLSL
 #define SKINNING_GLSL
 
 #include "texels.glsl"
 
 #ifdef POSITION_WORDS
-uniform usampler2D position_texture;   // x, y and z in one word (runtime/position_words.py)
+uniform usampler2D position_texture;   // x, y and z in one word (runtime/asset/packed_positions.py)
 uniform uvec3 position_shifts;
 uniform uvec3 position_masks;
 #else
@@ -110,7 +110,7 @@ bool read_record(uint record, vec4 shares, inout float left, out uvec4 joints, o
 }
 
 #ifdef DUAL_QUATERNIONS
-// A blend of dual quaternions and stretches (runtime/dual_quaternions.py).
+// A blend of dual quaternions and stretches (runtime/animation/dual_quaternions.py).
 struct DualBlend {
     vec4 real;
     vec4 dual;

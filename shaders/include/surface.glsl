@@ -33,7 +33,7 @@ uniform bool surface_blended;
 // Programs for materials that lack a thing are compiled without it: NO_CUTOUT (alpha mode MASK), NO_BLEND (alpha mode
 // BLEND), NO_FACTOR (a base colour factor), NO_ROUGHNESS_FACTOR, NO_EMISSION, NO_OCCLUSION, NO_METAL, NO_ORM (an
 // occlusion-roughness-metallic texture), ONE_SIDED. UNLIT materials have a colour alone. What varies of occlusion,
-// roughness and metallic may lie in alpha channels (runtime/material_channels.py): ROUGHNESS_IN_COLOR,
+// roughness and metallic may lie in alpha channels (runtime/gpu/material_packing.py): ROUGHNESS_IN_COLOR,
 // OCCLUSION_IN_NORMAL, METALLIC_IN_NORMAL. A driver that runs shaders on the processor reads every uniform anew in
 // every invocation: there are few on purpose.
 

@@ -1,4 +1,4 @@
-// The one rule that ties uv to texels, on the GPU. Its CPU twin is preprocess/texels.py; one test compares the two.
+// The one rule that ties uv to texels, on the GPU. Its CPU twin is preprocess/mesh/texels.py; one test compares the two.
 //
 // uv: origin at the top left of the image, v down. Texel (i, j) has its centre at ((i + 1/2) / W, (j + 1/2) / H).
 // Filtering is four fetches and an explicit blend, so that no result depends on the precision of filtering hardware.

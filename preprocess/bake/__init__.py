@@ -1,0 +1,1 @@
+"""The source's signals into textures of the atlas."""

@@ -1,0 +1,1 @@
+"""The folder of a built character: model.glb, images, manifest, report."""

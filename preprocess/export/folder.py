@@ -1,0 +1,195 @@
+"""The folder of a built character: images, model.glb and the manifest (docs/format.md)."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from preprocess.arrays import Floats
+from preprocess.atlas import Atlas
+from preprocess.decimate import Chain, Lod
+from preprocess.export.glb import write_model_glb
+from preprocess.files.images import Image, write_image
+from preprocess.files.output_folder import MANIFEST
+from preprocess.fit.textures import StoredTexture
+from preprocess.load import Character
+from preprocess.settings import Settings
+from runtime.animation.bounds import clip_bounds, joint_boxes
+from runtime.asset.asset import SCHEMA
+from runtime.asset.weight_quadtree import WeightDetails, pack_details
+
+MODEL = "model.glb"
+DETAILS = "weight_details.png"
+BOUNDS_MARGIN_REL = 0.005  # of the diagonal: points between vertices follow the position texture, not the faces
+
+
+@dataclass(frozen=True)
+class LodRow:
+    """A level of detail in the manifest.
+
+    Attributes
+    ----------
+    node : str
+        Mesh node in model.glb.
+    faces, vertices : int
+        Vertices are welded surface vertices.
+    error_m, mean_error_m : float
+        Largest and mean two-sided distance to the full mesh over dense samples and the sampled poses, metres.
+    normal_error_rad : float
+    exact : bool
+        Whether its seams are those of the full mesh.
+    uv_bound_px : float
+        How far a relaxed level's seams stray, in texels of the finest mip.
+    """
+
+    node: str
+    faces: int
+    vertices: int
+    error_m: float
+    mean_error_m: float
+    normal_error_rad: float
+    exact: bool
+    uv_bound_px: float
+
+
+def write_folder(
+    folder: Path,
+    character: Character,
+    atlas: Atlas,
+    textures: Sequence[StoredTexture],
+    chain: Chain,
+    settings: Settings,
+    warnings: Sequence[str],
+    timings: Mapping[str, float],
+    normal_uvs: Sequence[Floats | None],
+) -> tuple[LodRow, ...]:
+    """Write everything into an empty folder. `normal_uvs` are those of the levels, as for `write_model_glb`.
+
+    Returns
+    -------
+    tuple of LodRow
+        As in the manifest, finest first.
+    """
+    lods = chain.lods
+    rows = tuple(_row(f"{character.name}_LOD{i}", lod) for i, lod in enumerate(lods))
+    entries = {texture.name: _write_texture(folder, texture) for texture in textures}
+    options: dict[str, Any] = {"influences": settings.influences}
+    write_model_glb(folder / MODEL, character, atlas.mesh, lods, entries, normal_uvs=normal_uvs, **options)
+    files = [f"model_LOD{i}.glb" for i in range(len(lods))] if settings.separate_lods else []
+    for file, row, lod, uvs in zip(files, rows, lods, normal_uvs):
+        one = {"names": [row.node], "normal_uvs": [uvs], **options}
+        write_model_glb(folder / file, character, atlas.mesh, [lod], entries, **one)
+    manifest = {
+        "schema": SCHEMA,
+        "name": character.name,
+        "source": {"file": character.source.name, "sha256": character.source_hash},
+        "model": MODEL,
+        **({"model_files": files} if files else {}),
+        "joints": [character.skeleton.names[node] for node in character.skeleton.joint_nodes],
+        "clips": [{"name": clip.name, "duration_s": clip.duration_s} for clip in character.clips],
+        "bounds": _bounds(character, atlas),
+        "lods": [asdict(row) for row in rows],
+        "textures": entries,
+        "atlas": {
+            "mode": atlas.mode,
+            "charts": atlas.num_charts,
+            "overlap": atlas.overlap,
+            "exact_floor_faces": chain.floor_faces if chain.floor_faces >= 0 else None,
+            "straightened": atlas.straightened,
+            "stretch_l2": atlas.stretch_l2,
+            "stretch_linf": atlas.stretch_linf,
+            "coverage": atlas.coverage,
+        },
+        "settings": asdict(settings),
+        "timings": {name: round(seconds, 3) for name, seconds in timings.items()},
+        "warnings": list(warnings),
+    }
+    manifest["files"] = {
+        path.relative_to(folder).as_posix(): hash_file(path) for path in sorted(folder.rglob("*")) if path.is_file()
+    }
+    text = json.dumps(_finite(manifest), indent=1, ensure_ascii=False)
+    (folder / MANIFEST).write_text(text + "\n", encoding="utf-8")
+    return rows
+
+
+def hash_file(path: Path) -> str:
+    """SHA-256 of a file's bytes, hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _row(node: str, lod: Lod) -> LodRow:
+    return LodRow(
+        node,
+        lod.num_faces,
+        len(lod.positions),
+        float(lod.error_m),
+        float(lod.mean_error_m),
+        float(lod.normal_error_rad),
+        bool(lod.exact),
+        float(lod.uv_bound_px),
+    )
+
+
+def _write_texture(folder: Path, texture: StoredTexture) -> dict[str, Any]:
+    extension = "png" if texture.format in ("uint8", "uint16") else "exr"
+    file = f"{texture.name}.{extension}"
+    mip_files = [f"mips/{texture.name}.{level}.{extension}" for level in range(1, len(texture.levels))]
+    if mip_files:
+        (folder / "mips").mkdir(exist_ok=True)
+    for name, texels in zip([file, *mip_files], texture.levels):
+        write_image(folder / name, Image(texels, texture.format))
+    extra = dict(texture.extra)
+    if texture.details is not None:
+        extra["details"] = _write_details(folder, texture.details, texture.format)
+    return {
+        "file": file,
+        "size": list(texture.size),
+        "format": texture.format,
+        "mips": len(texture.levels),
+        "mip_files": mip_files,
+        "seam": texture.seam,
+        **extra,
+    }
+
+
+def _write_details(folder: Path, details: WeightDetails, form: str) -> dict[str, Any]:
+    image = pack_details(details, form == "uint16")
+    write_image(folder / DETAILS, Image(image / float(np.iinfo(image.dtype).max), form))
+    return {"file": DETAILS, "leaves": len(details.depths), "slots": int(details.joints.shape[-1])}
+
+
+def _bounds(character: Character, atlas: Atlas) -> dict[str, Any]:
+    """Boxes that hold the character in bind pose, a joint's part of it, and all of it over each clip."""
+    mesh = atlas.mesh
+    positions = mesh.surface.positions
+    boxes = joint_boxes(
+        positions,
+        mesh.joint_indices,
+        mesh.joint_weights,
+        character.skeleton.num_joints,
+        faces=mesh.surface.faces,
+        margin_m=BOUNDS_MARGIN_REL * mesh.surface.diagonal_m,
+    )
+    return {
+        "bind": [positions.min(axis=0).tolist(), positions.max(axis=0).tolist()],
+        "joints": [box.tolist() if np.isfinite(box).all() else None for box in boxes],
+        "clips": {clip.name: clip_bounds(character.skeleton, clip, boxes).tolist() for clip in character.clips},
+    }
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no NaN or infinity: they become null."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    if isinstance(value, (float, np.floating)):
+        return float(value) if np.isfinite(value) else None
+    return value

@@ -1,0 +1,378 @@
+"""model.glb: skeleton, clips and one skinned mesh a level of detail, as glTF that any viewer opens.
+
+The scene shows the finest level; the others hang on it by MSFT_lod. Materials name the folder's textures by relative
+uri. For the runtime every vertex also has `_OWNER_UV`, where its geometry is fetched. `TEXCOORD_1`, where there is one,
+is the place of its normal, and of colours that were painted there (docs/format.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from preprocess.arrays import Floats
+from preprocess.decimate.levels import Lod
+from preprocess.export.lod_vertices import LodMesh, build_lod_mesh
+from preprocess.export.materials import describe_textures, plan_draws, uv_set
+from preprocess.load.character import Character
+from preprocess.mesh.surface import SkinnedMesh
+from preprocess.mesh.texels import UV_STEPS
+from runtime.animation.clip import Clip
+from runtime.animation.skeleton import Skeleton
+
+if TYPE_CHECKING:
+    from pygltflib import GLTF2
+
+GENERATOR = "seamskin"
+SCREEN_ROWS = 1080  # of the screen for which MSFT_screencoverage is given
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+COMPONENTS = {np.dtype(np.uint8): 5121, np.dtype(np.uint16): 5123, np.dtype(np.uint32): 5125, np.dtype("<f4"): 5126}
+TYPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
+
+
+class _Buffer:
+    """The binary chunk and the accessors into it. Equal arrays for clips are stored once."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        self.views: list[dict[str, Any]] = []
+        self.accessors: list[dict[str, Any]] = []
+        self._clip_data = bytearray()
+        self._known: dict[tuple[bytes, str], int] = {}
+
+    def view(self, data: bytes | bytearray, target: int | None) -> int:
+        self.data += b"\0" * (-len(self.data) % 4)
+        view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(data)}
+        if target is not None:
+            view["target"] = target
+        self.data += data
+        self.views.append(view)
+        return len(self.views) - 1
+
+    def accessor(self, values: NDArray[Any], target: int | None, bounds: bool = False, normalized: bool = False) -> int:
+        """An accessor over a view of its own."""
+        spec = self._describe(values, bounds)
+        if normalized:
+            spec["normalized"] = True
+        stored = values.swapaxes(1, 2) if values.ndim == 3 else values
+        spec["bufferView"] = self.view(np.ascontiguousarray(stored).tobytes(), target)
+        self.accessors.append(spec)
+        return len(self.accessors) - 1
+
+    def clip_accessor(self, values: ArrayLike, bounds: bool) -> int:
+        """An accessor over the one view that all clips share, which `finish` appends."""
+        array = np.ascontiguousarray(values, "<f4")
+        spec = self._describe(array, bounds)
+        key = (array.tobytes(), f"{spec['type']} {bounds}")
+        if key not in self._known:
+            spec["byteOffset"] = len(self._clip_data)
+            self._clip_data += array.tobytes()
+            self.accessors.append(spec)
+            self._known[key] = len(self.accessors) - 1
+        return self._known[key]
+
+    def finish(self) -> None:
+        """Append the clips' view and let their accessors point to it."""
+        if self._clip_data:
+            view = self.view(self._clip_data, None)
+            for index in self._known.values():
+                self.accessors[index]["bufferView"] = view
+
+    @staticmethod
+    def _describe(values: NDArray[Any], bounds: bool) -> dict[str, Any]:
+        spec: dict[str, Any] = {
+            "componentType": COMPONENTS[values.dtype],
+            "count": len(values),
+            "type": TYPES[values.shape[1:]],
+        }
+        if bounds:
+            flat = values.reshape(len(values), -1)
+            spec["min"], spec["max"] = flat.min(axis=0).tolist(), flat.max(axis=0).tolist()
+        return spec
+
+
+def _describe_nodes(skeleton: Skeleton) -> list[dict[str, Any]]:
+    """The skeleton's nodes, at the same indices, with only what differs from rest at the origin."""
+    nodes: list[dict[str, Any]] = []
+    for index, name in enumerate(skeleton.names):
+        node: dict[str, Any] = {"name": name}
+        if not np.array_equal(skeleton.translation[index], (0, 0, 0)):
+            node["translation"] = skeleton.translation[index].tolist()
+        if not np.array_equal(skeleton.rotation[index], (0, 0, 0, 1)):
+            node["rotation"] = skeleton.rotation[index].tolist()
+        if not np.array_equal(skeleton.scale[index], (1, 1, 1)):
+            node["scale"] = skeleton.scale[index].tolist()
+        nodes.append(node)
+    for index, matrix in zip(skeleton.matrix_nodes, skeleton.matrices):
+        for key in ("translation", "rotation", "scale"):
+            nodes[index].pop(key, None)
+        nodes[index]["matrix"] = matrix.T.reshape(-1).tolist()
+    for index, parent in enumerate(skeleton.parents):
+        if parent >= 0:
+            nodes[parent].setdefault("children", []).append(index)
+    return nodes
+
+
+def _free_name(name: str, taken: Sequence[str]) -> str:
+    while name in taken:
+        name = f"{name}_"
+    return name
+
+
+def _add_skin(
+    nodes: list[dict[str, Any]], skeleton: Skeleton, character_name: str, buffer: _Buffer
+) -> tuple[dict[str, Any], list[int]]:
+    """The skin, and the roots of the scene.
+
+    glTF wants a skin's joints distinct and under one root. A node that is several joints gets children at its own
+    place, one a further joint; several roots, and a transform above them, get a node of their own.
+    """
+    names = [node["name"] for node in nodes]
+    roots = [index for index, parent in enumerate(skeleton.parents) if parent < 0]
+    if len(roots) > 1 or not np.array_equal(skeleton.root_transform, np.eye(4)):
+        root: dict[str, Any] = {"name": _free_name(f"{character_name}_root", names), "children": roots}
+        if not np.array_equal(skeleton.root_transform, np.eye(4)):
+            root["matrix"] = skeleton.root_transform.T.reshape(-1).tolist()
+        nodes.append(root)
+        names.append(root["name"])
+        roots = [len(nodes) - 1]
+    joints: list[int] = []
+    for node in skeleton.joint_nodes.tolist():
+        if node in joints:
+            name = _free_name(f"{skeleton.names[node]} (bind)", names)
+            nodes[node].setdefault("children", []).append(len(nodes))
+            nodes.append({"name": name})
+            names.append(name)
+            node = len(nodes) - 1
+        joints.append(node)
+    matrices = skeleton.inverse_bind.astype("<f4")
+    matrices[:, 3] = (0, 0, 0, 1)
+    skin = {"name": character_name, "joints": joints, "inverseBindMatrices": buffer.accessor(matrices, None)}
+    return skin, roots
+
+
+def _describe_clip(clip: Clip, buffer: _Buffer) -> dict[str, Any] | None:
+    """A clip with its keys as they are; None for one without tracks, which glTF does not allow."""
+    samplers: list[dict[str, Any]] = []
+    channels: list[dict[str, Any]] = []
+    for track in clip.tracks:
+        values = track.values
+        if track.interpolation == "CUBICSPLINE":
+            values = values.reshape(-1, values.shape[-1])
+        channels.append({"sampler": len(samplers), "target": {"node": int(track.node), "path": track.path}})
+        samplers.append(
+            {
+                "input": buffer.clip_accessor(track.times, bounds=True),
+                "output": buffer.clip_accessor(values, bounds=False),
+                "interpolation": track.interpolation,
+            }
+        )
+    return {"name": clip.name, "samplers": samplers, "channels": channels} if channels else None
+
+
+def _uv_accessor(uvs: NDArray[np.float32], buffer: _Buffer) -> int:
+    """Uvs as 16-bit numbers where these say them exactly."""
+    steps = np.rint(np.clip(uvs.astype(np.float64), 0.0, 1.0) * UV_STEPS).astype(np.uint16)
+    if np.array_equal((steps / UV_STEPS).astype(np.float32), uvs):
+        return buffer.accessor(steps, ARRAY_BUFFER, normalized=True)
+    return buffer.accessor(uvs, ARRAY_BUFFER)
+
+
+def _describe_mesh(
+    name: str, level: LodMesh, face_draws: NDArray[np.int64], buffer: _Buffer, second_uvs: bool
+) -> dict[str, Any]:
+    """A mesh of one primitive a draw range; they share the vertices. Materials may ask all levels for second uvs."""
+    attributes = {
+        "POSITION": buffer.accessor(level.positions, ARRAY_BUFFER, bounds=True),
+        "NORMAL": buffer.accessor(level.normals, ARRAY_BUFFER),
+        "TEXCOORD_0": _uv_accessor(level.uvs, buffer),
+        "_OWNER_UV": _uv_accessor(level.owner_uvs, buffer),
+    }
+    if level.normal_uvs is not None:
+        attributes["TEXCOORD_1"] = buffer.accessor(level.normal_uvs, ARRAY_BUFFER, normalized=True)
+    elif second_uvs:
+        attributes["TEXCOORD_1"] = attributes["TEXCOORD_0"]
+    for number in range(level.joints.shape[1] // 4):
+        columns = slice(4 * number, 4 * number + 4)
+        joints = np.ascontiguousarray(level.joints[:, columns])
+        weights = np.ascontiguousarray(level.weights[:, columns])
+        attributes[f"JOINTS_{number}"] = buffer.accessor(joints, ARRAY_BUFFER)
+        attributes[f"WEIGHTS_{number}"] = buffer.accessor(weights, ARRAY_BUFFER)
+    index_type = np.uint16 if len(level.positions) < 65535 else np.uint32
+    primitives = []
+    for draw in np.unique(face_draws).tolist():
+        indices = level.faces[face_draws == draw].reshape(-1).astype(index_type)
+        primitives.append(
+            {"attributes": attributes, "indices": buffer.accessor(indices, ELEMENT_ARRAY_BUFFER), "material": draw}
+        )
+    return {"name": name, "primitives": primitives}
+
+
+def screen_coverage(lods: Sequence[Lod], diagonal_m: float) -> list[float]:
+    """Share of the screen's area above which each level is wanted (MSFT_lod's hint), the finest first.
+
+    A level is left once the next one's error is under a pixel of a screen of 1,080 rows; the last is never left.
+    Empty where an error was not measured.
+    """
+    errors = np.array([lod.error_m for lod in lods[1:]])
+    if not np.isfinite(errors).all():
+        return []
+    heights = diagonal_m / (np.maximum(errors, 1e-12) * SCREEN_ROWS)
+    shares = np.minimum.accumulate(np.minimum(heights**2, 1.0))
+    return [*shares.tolist(), 0.0]
+
+
+def describe_model(
+    character: Character,
+    mesh: SkinnedMesh,
+    lods: Sequence[Lod],
+    textures: Mapping[str, Mapping[str, Any]],
+    influences: int = 4,
+    names: Sequence[str] | None = None,
+    normal_uvs: Sequence[Floats | None] | None = None,
+) -> tuple[dict[str, Any], bytes]:
+    """The glTF of a built character, as JSON and binary chunk. See `write_model_glb`."""
+    if influences not in (4, 8):
+        raise ValueError(f"influences must be 4 or 8, not {influences}")
+    if not lods:
+        raise ValueError("a model needs at least one level of detail")
+    names = names or [f"{character.name}_LOD{level}" for level in range(len(lods))]
+    buffer = _Buffer()
+    skeleton = character.skeleton
+    nodes = _describe_nodes(skeleton)
+    skin, roots = _add_skin(nodes, skeleton, character.name, buffer)
+
+    materials, draw_of_material = plan_draws(character.materials, np.unique(mesh.face_materials), textures)
+    meshes: list[dict[str, Any]] = []
+    first = len(nodes)
+    second_uvs = any(uv_set(entry) for entry in textures.values())
+    for name, lod, own_uvs in zip(names, lods, normal_uvs or [None] * len(lods)):
+        level = build_lod_mesh(
+            mesh, skeleton.num_joints, lod.surface, lod.owner_uvs, lod.face_source, influences, own_uvs, lod.fetch_uvs
+        )
+        face_draws = draw_of_material[mesh.face_materials[lod.face_source]]
+        nodes.append({"name": name, "mesh": len(meshes), "skin": 0})
+        meshes.append(_describe_mesh(name, level, face_draws, buffer, second_uvs))
+    extensions = {key for material in materials for key in material.get("extensions", {})}
+    if len(lods) > 1:
+        nodes[first]["extensions"] = {"MSFT_lod": {"ids": list(range(first + 1, len(nodes)))}}
+        coverage = screen_coverage(lods, mesh.surface.diagonal_m)
+        if coverage:
+            nodes[first]["extras"] = {"MSFT_screencoverage": coverage}
+        extensions.add("MSFT_lod")
+    clips = [spec for spec in (_describe_clip(clip, buffer) for clip in character.clips) if spec is not None]
+    buffer.finish()
+
+    model: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": GENERATOR},
+        "scene": 0,
+        "scenes": [{"name": character.name, "nodes": [*roots, first]}],
+        "nodes": nodes,
+        "meshes": meshes,
+        "skins": [skin],
+        "materials": materials,
+        "accessors": buffer.accessors,
+        "bufferViews": buffer.views,
+        "buffers": [{"byteLength": len(buffer.data)}],
+        **describe_textures(textures),
+    }
+    if clips:
+        model["animations"] = clips
+    if extensions:
+        model["extensionsUsed"] = sorted(extensions)
+    return model, bytes(buffer.data)
+
+
+def _as_document(model: dict[str, Any]) -> GLTF2:
+    """pygltflib's objects of a description. Its own `from_dict` takes 14 times as long on 76 clips."""
+    import pygltflib as gltf
+
+    def primitive(spec: dict[str, Any]) -> gltf.Primitive:
+        return gltf.Primitive(**{**spec, "attributes": gltf.Attributes(**spec["attributes"])})
+
+    def channel(spec: dict[str, Any]) -> gltf.AnimationChannel:
+        return gltf.AnimationChannel(sampler=spec["sampler"], target=gltf.AnimationChannelTarget(**spec["target"]))
+
+    def clip(spec: dict[str, Any]) -> gltf.Animation:
+        samplers = [gltf.AnimationSampler(**sampler) for sampler in spec["samplers"]]
+        return gltf.Animation(name=spec["name"], samplers=samplers, channels=[channel(c) for c in spec["channels"]])
+
+    def material(spec: dict[str, Any]) -> gltf.Material:
+        pbr = dict(spec["pbrMetallicRoughness"])
+        for key in ("baseColorTexture", "metallicRoughnessTexture"):
+            if key in pbr:
+                pbr[key] = gltf.TextureInfo(**pbr[key])
+        changed: dict[str, Any] = {"pbrMetallicRoughness": gltf.PbrMetallicRoughness(**pbr)}
+        if "emissiveTexture" in spec:
+            changed["emissiveTexture"] = gltf.TextureInfo(**spec["emissiveTexture"])
+        if "occlusionTexture" in spec:
+            changed["occlusionTexture"] = gltf.OcclusionTextureInfo(**spec["occlusionTexture"])
+        return gltf.Material(**{**spec, **changed})
+
+    return gltf.GLTF2(
+        asset=gltf.Asset(**model["asset"]),
+        scene=model["scene"],
+        scenes=[gltf.Scene(**spec) for spec in model["scenes"]],
+        nodes=[gltf.Node(**spec) for spec in model["nodes"]],
+        meshes=[
+            gltf.Mesh(name=spec["name"], primitives=[primitive(one) for one in spec["primitives"]])
+            for spec in model["meshes"]
+        ],
+        skins=[gltf.Skin(**spec) for spec in model["skins"]],
+        materials=[material(spec) for spec in model["materials"]],
+        accessors=[gltf.Accessor(**spec) for spec in model["accessors"]],
+        bufferViews=[gltf.BufferView(**spec) for spec in model["bufferViews"]],
+        buffers=[gltf.Buffer(**spec) for spec in model["buffers"]],
+        images=[gltf.Image(**spec) for spec in model.get("images", [])],
+        samplers=[gltf.Sampler(**spec) for spec in model.get("samplers", [])],
+        textures=[gltf.Texture(**spec) for spec in model.get("textures", [])],
+        animations=[clip(spec) for spec in model.get("animations", [])],
+        extensionsUsed=model.get("extensionsUsed", []),
+    )
+
+
+def write_model_glb(
+    path: Path,
+    character: Character,
+    mesh: SkinnedMesh,
+    lods: Sequence[Lod],
+    textures: Mapping[str, Mapping[str, Any]],
+    influences: int = 4,
+    names: Sequence[str] | None = None,
+    normal_uvs: Sequence[Floats | None] | None = None,
+) -> None:
+    """Write model.glb.
+
+    Parameters
+    ----------
+    path : Path
+        In the folder that holds the textures.
+    character : Character
+        Gives skeleton, clips and materials.
+    mesh : SkinnedMesh
+        The full mesh with the atlas as its uvs: normals and weights of the levels are taken from it.
+    lods : sequence of Lod
+        The finest first. One of them alone makes a file of one level.
+    textures : mapping of texture name to its manifest entry
+        `file` is the uri; `copied` says that the source's factors are not in it. Only "base_color", "orm" and
+        "emissive" are referred to.
+    influences : 4 or 8
+        Joints a vertex. Dropped weight goes to the others.
+    names : sequence of str, optional
+        Node names of the levels; NAME_LOD0, NAME_LOD1 ... by default.
+    normal_uvs : sequence of (F, 3, 2) float64 or None, optional
+        Where each level's corners sample the normal texture, if not at its uvs.
+
+    Raises
+    ------
+    ValueError
+        If there is no level or `influences` is neither 4 nor 8.
+    """
+    model, data = describe_model(character, mesh, lods, textures, influences, names, normal_uvs)
+    document = _as_document(model)
+    document.set_binary_blob(data)
+    document.save_binary(str(path))

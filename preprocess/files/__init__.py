@@ -1,0 +1,1 @@
+"""Files in and out: images, OBJ meshes, and output folders that appear whole or not at all."""

@@ -1,0 +1,1 @@
+"""Textures closed, stored, and made right at the vertices of the levels that came out."""

@@ -1,0 +1,329 @@
+"""The parts of a file's default scene, placed in bind pose and moved by one joint list.
+
+See binding.py for what bind pose means. A part is one primitive of one node; its vertices are the file's.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from preprocess.arrays import Floats
+from preprocess.errors import InputError
+from preprocess.load.binding import JointList, moments_of, place_rigid, place_skin
+from preprocess.load.primitives import Primitive, read_primitive
+from runtime.animation.pose import global_transforms, rest_pose
+from runtime.animation.skeleton import read_skeleton
+from runtime.gltf.document import Document
+
+ZERO_SCALE = 1e-6  # rest scales below this hide a part; it is placed as if they were one
+
+
+@dataclass(frozen=True)
+class Part:
+    """One primitive in object space. N vertices, F faces, L texture coordinate sets, K influences.
+
+    Attributes
+    ----------
+    source : Primitive
+        As in the file; `positions`, `normals` and `tangents` below stand in object space.
+    node : int
+        The mesh's node in the file.
+    skin : int or None
+    joints : (N, K) int64
+        Into the character's joint list.
+    weights : (N, K) float64
+        Rows sum to one.
+    faces : (F, 3) int64
+        Turned over where the placement mirrors.
+    """
+
+    source: Primitive
+    node: int
+    skin: int | None
+    positions: Floats
+    normals: Floats
+    tangents: Floats | None
+    joints: NDArray[np.int64]
+    weights: Floats
+    faces: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """All parts and the joint list they point into.
+
+    Attributes
+    ----------
+    joint_nodes : (J,) int64, node indices of the file
+    inverse_bind : (J, 4, 4) float64
+    """
+
+    parts: tuple[Part, ...]
+    joint_nodes: NDArray[np.int64]
+    inverse_bind: Floats
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Instance:
+    """A primitive as some node shows it, before it is placed."""
+
+    node: int
+    skin: int | None
+    primitive: Primitive
+    where: str
+
+
+@dataclass(frozen=True)
+class _Skin:
+    nodes: list[int]
+    inverse: Floats
+
+
+def _choose_scene(document: Document, warnings: list[str]) -> list[int]:
+    """Roots of the default scene, or of the first with a mesh where that one shows none."""
+    scenes, nodes = document.items("scenes"), document.items("nodes")
+    if not scenes:
+        children = {child for node in nodes for child in node.get("children", [])}
+        return [index for index in range(len(nodes)) if index not in children]
+    default = document.json.get("scene", 0)
+    candidates = [document.item("scenes", default), *scenes]
+    for number, scene in enumerate(candidates):
+        roots: list[int] = scene.get("nodes", [])
+        if any("mesh" in document.item("nodes", node) for node in _nodes_below(document, roots)):
+            if number:
+                warnings.append(f"scene {default} shows no mesh: scene {number - 1} is built instead")
+            return roots
+    return []
+
+
+def _nodes_below(document: Document, roots: list[int]) -> Iterator[int]:
+    """Roots and all nodes below them, parents first, children in the file's order."""
+    stack = list(reversed(roots))
+    while stack:
+        index = stack.pop()
+        yield index
+        stack.extend(reversed(document.item("nodes", index).get("children", [])))
+
+
+def _read_skin(document: Document, index: int) -> _Skin:
+    spec = document.item("skins", index)
+    nodes = spec.get("joints", [])
+    where = f"{document.path.name}: skin {index}"
+    if not nodes:
+        raise InputError(f"{where} has no joints: export the file again")
+    for node in nodes:
+        document.item("nodes", node)
+    inverse = np.tile(np.eye(4), (len(nodes), 1, 1))
+    if "inverseBindMatrices" in spec:
+        matrices = document.accessor(spec["inverseBindMatrices"]).astype(np.float64)
+        if matrices.shape[1:] != (4, 4) or len(matrices) < len(nodes):
+            raise InputError(f"{where} has {len(matrices)} inverse bind matrices for {len(nodes)} joints: export again")
+        inverse = matrices[: len(nodes)]
+        inverse[:, 3] = (0, 0, 0, 1)
+        if not np.isfinite(inverse).all():
+            raise InputError(f"{where} has inverse bind matrices that are not finite: export the file again")
+    return _Skin(list(nodes), inverse)
+
+
+def _read_instances(document: Document, warnings: list[str]) -> list[_Instance]:
+    """Every primitive of every mesh node of the scene, decoded once a mesh."""
+    meshes: dict[int, list[tuple[Primitive, str]]] = {}
+    instances = []
+    for node in _nodes_below(document, _choose_scene(document, warnings)):
+        spec = document.item("nodes", node)
+        if "EXT_mesh_gpu_instancing" in spec.get("extensions", {}):
+            raise InputError(
+                f"{document.path.name}: node {node} is instanced: export its copies as meshes of their own"
+            )
+        if "mesh" not in spec:
+            continue
+        mesh = spec["mesh"]
+        if mesh not in meshes:
+            meshes[mesh] = _read_mesh(document, mesh, spec, warnings)
+        skin = spec.get("skin")
+        instances += [_Instance(node, skin, primitive, where) for primitive, where in meshes[mesh]]
+    return instances
+
+
+def _read_mesh(
+    document: Document, index: Any, node: dict[str, Any], warnings: list[str]
+) -> list[tuple[Primitive, str]]:
+    mesh = document.item("meshes", index)
+    name = str(mesh.get("name") or f"mesh {index}")
+    found = []
+    for number, spec in enumerate(mesh.get("primitives", [])):
+        where = f"{document.path.name}: {name}, primitive {number}"
+        primitive, notes = read_primitive(document, spec, node.get("weights", mesh.get("weights", [])), where)
+        warnings += [note.removeprefix(f"{document.path.name}: ") for note in notes]
+        if primitive is not None:
+            found.append((primitive, where))
+    return found
+
+
+def _is_skinned(instance: _Instance) -> bool:
+    return instance.skin is not None and instance.primitive.joints is not None
+
+
+def _clean_weights(instance: _Instance, num_joints: int, warnings: list[str]) -> tuple[NDArray[np.int64], Floats]:
+    """Joints of the skin and weights that sum to one; the damage is counted."""
+    joints, weights = instance.primitive.joints, instance.primitive.weights
+    assert joints is not None and weights is not None
+    place = instance.where.partition(": ")[2]
+    broken = ~np.isfinite(weights) | (weights < 0)
+    if broken.any():
+        warnings.append(f"{place}: {int(broken.sum())} weights are negative or not finite: set to 0")
+        weights = np.where(broken, 0.0, weights)
+    outside = (joints >= num_joints) | (joints < 0)
+    if (outside & (weights > 0)).any():
+        raise InputError(
+            f"{instance.where}: joint {int(joints[outside & (weights > 0)].max())} is outside its skin's "
+            f"{num_joints} joints: export the file again"
+        )
+    joints = np.where(outside, 0, joints)
+    sums = weights.sum(axis=1)
+    empty = sums <= 0
+    if empty.any():
+        warnings.append(f"{place}: {int(empty.sum())} vertices have no weight: hung on the skin's first joint")
+        joints, weights = joints.copy(), weights.copy()
+        joints[empty, 0], weights[empty, 0] = 0, 1.0
+        sums = weights.sum(axis=1)
+    uneven = int((np.abs(sums - 1) > 0.02).sum())  # four 8-bit weights may miss one by 4 / 255
+    if uneven:
+        warnings.append(f"{place}: weights of {uneven} vertices do not sum to one: normalised")
+    return joints, weights / sums[:, None]
+
+
+def _place(instance: _Instance, placement: Floats, joints: NDArray[np.int64], weights: Floats) -> Part:
+    """A part in object space: positions by the placement, normals by its inverse transpose."""
+    primitive = instance.primitive
+    identity = bool((placement == np.eye(4)).all())
+    linear, shift = placement[:3, :3], placement[:3, 3]
+    mirrored = np.linalg.det(linear) < 0
+    positions = primitive.positions if identity else primitive.positions @ linear.T + shift
+    normals = primitive.normals if primitive.normals is not None else np.full_like(positions, np.nan)
+    tangents = primitive.tangents
+    if not identity:
+        normals = normals @ np.linalg.inv(linear)
+        normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        if tangents is not None:
+            directions = tangents[:, :3] @ linear.T
+            lengths = np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-300)
+            tangents = np.concatenate([directions / lengths, tangents[:, 3:] * (-1 if mirrored else 1)], axis=1)
+    return Part(
+        source=primitive,
+        node=instance.node,
+        skin=instance.skin if _is_skinned(instance) else None,
+        positions=positions,
+        normals=normals,
+        tangents=tangents,
+        joints=joints,
+        weights=weights,
+        faces=primitive.faces[:, [0, 2, 1]] if mirrored else primitive.faces,
+    )
+
+
+class _Binder:
+    """Places skins and rigid parts and collects the joint list."""
+
+    def __init__(self, document: Document) -> None:
+        self.size_m = 1.0
+        num_nodes = len(document.items("nodes"))
+        tree = read_skeleton(document, list(range(num_nodes)), np.tile(np.eye(4), (num_nodes, 1, 1)))
+        shown = dataclasses.replace(tree, scale=np.where(np.abs(tree.scale) < ZERO_SCALE, 1.0, tree.scale))
+        self.rest = np.empty((num_nodes, 4, 4))
+        self.rest[tree.document_nodes] = global_transforms(shown, rest_pose(shown))[0]
+        self.parents = np.full(num_nodes, -1, np.int64)
+        has_parent = tree.parents >= 0
+        self.parents[tree.document_nodes[has_parent]] = tree.document_nodes[tree.parents[has_parent]]
+        self.joints = JointList()
+        self.known: dict[int, Floats] = {}  # bind-pose globals of joints
+
+    def _depth(self, node: int) -> int:
+        depth = 0
+        while self.parents[node] >= 0:
+            node, depth = int(self.parents[node]), depth + 1
+        return depth
+
+    def add_skin(self, skin: _Skin, mesh_node: int, moments: Floats) -> tuple[Floats, NDArray[np.int64]]:
+        """Placement of a skin's meshes and the joint of each of its joints."""
+        top = int(self.parents[min(skin.nodes, key=self._depth)])
+        above = self.rest[top] if top >= 0 else np.eye(4)
+        placement = place_skin(
+            drawn=self.rest[skin.nodes] @ skin.inverse,
+            moments=moments,
+            canonical=[self.rest[mesh_node], above, np.eye(4)],
+            known=self.known,
+            nodes=skin.nodes,
+            inverse=skin.inverse,
+        )
+        inverse = skin.inverse if (placement == np.eye(4)).all() else skin.inverse @ np.linalg.inv(placement)
+        indices = [self.joints.add(node, matrix, self.size_m) for node, matrix in zip(skin.nodes, inverse)]
+        for node, matrix in zip(skin.nodes, inverse):
+            if node not in self.known and abs(np.linalg.det(matrix[:3, :3])) > 0:
+                self.known[node] = np.linalg.inv(matrix)
+        return placement, np.array(indices, np.int64)
+
+    def add_rigid(self, node: int) -> tuple[Floats, int]:
+        """Placement of a rigid part and its joint."""
+        placement = place_rigid(node, self.parents, self.rest, self.known)
+        inverse = np.linalg.inv(placement).astype(np.float64)
+        return placement, self.joints.add(node, inverse, self.size_m)
+
+
+def read_scene(document: Document) -> Scene:
+    """Read, bind and place everything with a mesh in the default scene.
+
+    Joints come in the order of the skins, then of the rigid parts.
+
+    Raises
+    ------
+    InputError, AssetError
+        If a mesh, skin or node is malformed.
+    """
+    warnings: list[str] = []
+    binder = _Binder(document)  # first: it refuses a tree with a cycle
+    instances = _read_instances(document, warnings)
+    if not instances:
+        raise InputError(
+            f"{document.path.name} has no mesh with triangles in its scene: export the character's meshes with it"
+        )
+    binder.size_m = max(float(np.nanmax(np.abs(instance.primitive.positions))) for instance in instances)
+
+    skinned: dict[int, list[tuple[_Instance, NDArray[np.int64], Floats]]] = {}
+    skins: dict[int, _Skin] = {}
+    for instance in instances:
+        if _is_skinned(instance):
+            assert instance.skin is not None
+            if instance.skin not in skins:
+                skins[instance.skin] = _read_skin(document, instance.skin)
+            joints, weights = _clean_weights(instance, len(skins[instance.skin].nodes), warnings)
+            skinned.setdefault(instance.skin, []).append((instance, joints, weights))
+    placed: dict[int, Part] = {}
+    for index, members in skinned.items():
+        skin = skins[index]
+        total = np.zeros((len(skin.nodes), 4, 4))
+        for instance, joints, weights in members:
+            total += moments_of(instance.primitive.positions, joints, weights, len(skin.nodes))
+        placement, to_joint = binder.add_skin(skin, members[0][0].node, total)
+        for instance, joints, weights in members:
+            placed[id(instance)] = _place(instance, placement, to_joint[joints], weights)
+    for instance in instances:
+        if id(instance) not in placed:
+            placement, joint = binder.add_rigid(instance.node)
+            count = len(instance.primitive.positions)
+            placed[id(instance)] = _place(
+                instance, placement, np.full((count, 1), joint, np.int64), np.ones((count, 1))
+            )
+    return Scene(
+        parts=tuple(placed[id(instance)] for instance in instances),
+        joint_nodes=np.array(binder.joints.nodes, np.int64),
+        inverse_bind=np.stack(binder.joints.inverse_binds),
+        warnings=tuple(warnings),
+    )

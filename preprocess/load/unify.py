@@ -1,0 +1,259 @@
+"""The parts of a scene into one mesh, and the driver of everything that makes it sound.
+
+stack parts -> weld -> drop faces without area and doubled ones -> split non-manifold places -> normals -> mesh.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+
+import numpy as np
+from numpy.typing import NDArray
+
+from preprocess.arrays import Floats, Indices
+from preprocess.errors import InputError
+from preprocess.load.character import Material
+from preprocess.load.manifold import Manifold, make_manifold
+from preprocess.load.scene import Part, Scene
+from preprocess.load.tangents import corner_tangents
+from preprocess.load.weld import (
+    Soup,
+    Welded,
+    canonical_influences,
+    faces_with_area,
+    find_duplicates,
+    weld_vertices,
+)
+from preprocess.mesh.corner_normals import CREASE_RAD, face_normals, smooth_corner_normals
+from preprocess.mesh.grouping import group_rows
+from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
+
+log = logging.getLogger(__name__)
+
+
+def _stack_parts(parts: tuple[Part, ...], material_index: dict[int | None, int]) -> Soup:
+    """All parts one after the other; missing values filled in: NaN normals, white colours, zero uvs."""
+    counts = [len(part.positions) for part in parts]
+    starts = np.cumsum([0, *counts[:-1]])
+    num_texcoords = max(part.source.texcoords.shape[1] for part in parts)
+    num_influences = max(part.joints.shape[1] for part in parts)
+
+    def padded(values: NDArray[np.generic], width: int) -> NDArray[np.generic]:
+        missing = [(0, 0)] * values.ndim
+        missing[1] = (0, width - values.shape[1])
+        return np.pad(values, missing)
+
+    joints, weights = canonical_influences(
+        np.concatenate([padded(part.joints, num_influences) for part in parts]),
+        np.concatenate([padded(part.weights, num_influences) for part in parts]),
+    )
+    colors = None
+    if any(part.source.colors is not None for part in parts):
+        white = [np.ones((count, 4), np.float32) for count in counts]
+        colors = np.concatenate(
+            [part.source.colors if part.source.colors is not None else one for part, one in zip(parts, white)]
+        )
+    tangents = None
+    if any(part.tangents is not None for part in parts):
+        missing = [np.full((count, 4), np.nan) for count in counts]
+        tangents = np.concatenate(
+            [part.tangents if part.tangents is not None else none for part, none in zip(parts, missing)]
+        )
+    return Soup(
+        positions=np.concatenate([part.positions for part in parts]),
+        normals=np.concatenate([part.normals for part in parts]),
+        tangents=tangents,
+        texcoords=np.concatenate([padded(part.source.texcoords, num_texcoords) for part in parts]),
+        has_texcoord=np.repeat([part.source.texcoords.shape[1] > 0 for part in parts], counts),
+        colors=colors,
+        joints=joints,
+        weights=weights,
+        faces=np.concatenate([part.faces + start for part, start in zip(parts, starts)]),
+        face_parts=np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts]),
+        face_materials=np.repeat(
+            [material_index[part.source.material] for part in parts], [len(part.faces) for part in parts]
+        ),
+    )
+
+
+def _remove_duplicates(
+    soup: Soup, welded: Welded, materials: tuple[Material, ...], diagonal_m: float, where: str, warnings: list[str]
+) -> tuple[Soup, tuple[Material, ...]]:
+    """The soup without faces that have no area or are drawn twice; a material more for fronts that lost their back."""
+    positions = soup.positions[welded.vertex_firsts]
+    solid = faces_with_area(positions, welded.vertex_of[soup.faces], diagonal_m)
+    if not solid.all():
+        warnings.append(f"{int((~solid).sum())} triangles without area removed")
+    if not solid.any():
+        raise InputError(f"{where} has no triangle with an area: export the file again")
+    faces, face_materials = soup.faces[solid], soup.face_materials[solid]
+    face_parts = soup.face_parts[solid]
+    is_double_sided = np.array([material.double_sided for material in materials])
+    found = find_duplicates(welded.vertex_of[faces], welded.uv_of[faces], face_materials, is_double_sided)
+    if found.num_same:
+        warnings.append(f"{found.num_same} duplicate triangles removed")
+    if found.num_opposite:
+        warnings.append(f"{found.num_opposite} triangles that were the back of another removed: drawn double-sided")
+    for index in np.unique(face_materials[found.becomes_double_sided]):
+        changed = found.becomes_double_sided & (face_materials == index)
+        twin = dataclasses.replace(materials[index], name=f"{materials[index].name} (double-sided)", double_sided=True)
+        face_materials = np.where(changed, len(materials), face_materials)
+        materials = (*materials, twin)
+    kept = dataclasses.replace(
+        soup, faces=faces[found.keep], face_materials=face_materials[found.keep], face_parts=face_parts[found.keep]
+    )
+    return kept, materials
+
+
+def _report_manifold(manifold: Manifold, warnings: list[str]) -> None:
+    if manifold.num_split_edges:
+        warnings.append(f"{manifold.num_split_edges} edges with three or more faces split")
+    if manifold.num_split_vertices:
+        warnings.append(f"{manifold.num_split_vertices} vertices added where surfaces met in a point or an edge")
+    if manifold.num_turned:
+        warnings.append(f"{manifold.num_turned} triangles turned over to face the same way as their neighbours")
+    if manifold.num_unorientable:
+        warnings.append(f"{manifold.num_unorientable} one-sided surfaces cut along a line")
+
+
+def _corner_normals(
+    soup: Soup, corner_sources: Indices, manifold: Manifold, positions: Floats, warnings: list[str]
+) -> Floats:
+    """The file's normals a corner; computed where it has none; turned where their face was."""
+    corner: Floats = soup.normals[corner_sources]
+    missing = np.logical_or.reduce(np.isnan(corner), axis=2)
+    turned = (manifold.corners[:, 1] == 2)[:, None]
+    if turned.any():
+        facing = np.einsum("fkc,fc->fk", corner, face_normals(positions, manifold.faces))
+        corner = np.where((turned & (facing < 0))[:, :, None], -corner, corner)
+    if missing.any():
+        count, degrees = int(missing.any(axis=1).sum()), round(float(np.rad2deg(CREASE_RAD)))
+        warnings.append(f"{count} triangles without normals: made smooth, edges over {degrees} degrees stay hard")
+        smooth = smooth_corner_normals(positions, manifold.faces)
+        corner = np.where(missing[:, :, None], smooth, corner)
+    return corner
+
+
+def _fill_tangents(mesh: SkinnedMesh) -> SkinnedMesh:
+    """The same mesh with computed tangents where the file's are missing or unusable."""
+    if mesh.corner_tangents is None:
+        return mesh
+    own = mesh.corner_tangents
+    lengths = np.linalg.norm(own[..., :3], axis=2)
+    usable = np.logical_and.reduce(np.isfinite(own), axis=2) & (np.abs(lengths - 1) < 0.1)
+    if not usable.any():
+        return dataclasses.replace(mesh, corner_tangents=None)
+    if not usable.all():
+        computed = corner_tangents(dataclasses.replace(mesh, corner_tangents=None))
+        own = np.where(usable[..., None], own, computed)
+    handedness = np.where(own[..., 3:] < 0, -1.0, 1.0)
+    return dataclasses.replace(mesh, corner_tangents=np.concatenate([own[..., :3], handedness], axis=2))
+
+
+def _build_mesh(soup: Soup, welded: Welded, manifold: Manifold, warnings: list[str]) -> SkinnedMesh:
+    """Arrays a corner and a vertex, in the order of the manifold."""
+    corner_sources = np.take_along_axis(soup.faces, manifold.corners, axis=1)
+    firsts = welded.vertex_firsts[manifold.vertex_origin]
+    positions = soup.positions[firsts]
+    corner_normals = _corner_normals(soup, corner_sources, manifold, positions, warnings)
+    has_uvs = soup.has_texcoord[corner_sources]
+    if has_uvs.any():
+        clusters = welded.uv_of[corner_sources].reshape(-1)
+        face_uvs, uv_corners = group_rows(manifold.faces.reshape(-1), clusters)
+        uvs = soup.texcoords[welded.uv_firsts[clusters[uv_corners]], 0]
+    else:
+        face_uvs, uvs = np.zeros(manifold.faces.size, np.int64), np.zeros((1, 2))
+    if not has_uvs.all():
+        count = int((~has_uvs).any(axis=1).sum())
+        warnings.append(f"{count} of {len(has_uvs)} triangles have no texture coordinates")
+    surface = TexturedSurface(
+        positions=positions,
+        faces=manifold.faces.astype(np.int32),
+        uvs=uvs,
+        face_uvs=face_uvs.reshape(-1, 3).astype(np.int32),
+    )
+    tangents = None
+    if soup.tangents is not None:
+        tangents = soup.tangents[corner_sources]
+        tangents[manifold.corners[:, 1] == 2, :, 3] *= -1
+    mesh = SkinnedMesh(
+        surface=surface,
+        corner_normals=corner_normals,
+        corner_tangents=tangents,
+        corner_texcoords=soup.texcoords[corner_sources],
+        corner_colors=None if soup.colors is None else soup.colors[corner_sources],
+        joint_indices=soup.joints[firsts].astype(np.int32),
+        joint_weights=soup.weights[firsts],
+        face_materials=soup.face_materials.astype(np.int32),
+        face_parts=soup.face_parts.astype(np.int32),
+        has_uvs=bool(has_uvs.all()),
+    )
+    return _fill_tangents(mesh)
+
+
+def _without_unused(soup: Soup, used: Indices) -> Soup:
+    """The soup with only the vertices that faces use."""
+    renumber = np.zeros(len(soup.positions), np.int64)
+    renumber[used] = np.arange(len(used))
+    return dataclasses.replace(
+        soup,
+        positions=soup.positions[used],
+        normals=soup.normals[used],
+        tangents=None if soup.tangents is None else soup.tangents[used],
+        texcoords=soup.texcoords[used],
+        has_texcoord=soup.has_texcoord[used],
+        colors=None if soup.colors is None else soup.colors[used],
+        joints=soup.joints[used],
+        weights=soup.weights[used],
+        faces=renumber[soup.faces],
+    )
+
+
+def unify(
+    scene: Scene,
+    materials: tuple[Material, ...],
+    material_index: dict[int | None, int],
+    where: str,
+    warnings: list[str],
+) -> tuple[SkinnedMesh, tuple[Material, ...]]:
+    """Weld the parts of a scene into one mesh.
+
+    Parameters
+    ----------
+    scene : Scene
+    materials : tuple of Material
+    material_index : dict
+        From a material index of the file (or None) into `materials`.
+    where : str
+        How messages name the file.
+    warnings : list of str
+        What is changed is added to it.
+
+    Returns
+    -------
+    mesh : SkinnedMesh
+    materials : tuple of Material
+        Longer where fronts took over for their backs.
+    """
+    soup = _stack_parts(scene.parts, material_index)
+    used = np.unique(soup.faces)
+    diagonal_m = float(np.linalg.norm(np.ptp(soup.positions[used], axis=0)))
+    soup = _without_unused(soup, used)
+    welded = weld_vertices(soup, diagonal_m)
+    log.info(
+        "weld: %d source vertices -> %d points of the surface (%d coincide but move apart)",
+        len(soup.positions),
+        len(welded.vertex_firsts),
+        welded.num_apart,
+    )
+    soup, materials = _remove_duplicates(soup, welded, materials, diagonal_m, where, warnings)
+    manifold = make_manifold(
+        welded.vertex_of[soup.faces],
+        soup.positions[welded.vertex_firsts],
+        soup.faces,
+        welded.uv_of[soup.faces],
+        soup.face_parts,
+    )
+    _report_manifold(manifold, warnings)
+    return _build_mesh(soup, welded, manifold, warnings), materials

@@ -1,0 +1,1 @@
+"""What every stage shares: the surface, its seams, its texels, and lookups on it."""

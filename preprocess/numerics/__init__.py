@@ -1,0 +1,1 @@
+"""Sparse solvers and compiled kernels: what knows of no mesh."""

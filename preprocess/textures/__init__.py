@@ -1,1 +1,0 @@
-"""Colours and normals as textures of the atlas: sampled from the source, seams erased, rounded."""

@@ -1,0 +1,1 @@
+"""Skeletons, clips and poses of many actors at once, in NumPy alone."""

@@ -1,0 +1,1 @@
+"""A built character's folder read into arrays, and the codecs of its files."""

@@ -1,0 +1,298 @@
+"""Thousands of actors of one character: clips baked into a texture, one instanced draw a level of detail.
+
+The CPU culls, chooses levels and fills one instance buffer for all actors at once; the vertex shader finds each
+actor's pose in a texture by its row.
+
+``crowd = Crowd(ctx, model, 10_000); crowd.place(transforms); crowd.play("walk", phases_s=…)``, then each frame
+``crowd.update(dt)`` and ``renderer.draw([hero, crowd], camera)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import moderngl
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from runtime.animation.clip import Clip
+from runtime.crowd.animation_texture import MAX_ROWS, bake_clips
+from runtime.crowd.lod_buffers import CrowdLevel, LevelMesh, bake_level_places, model_meshes, upload_level
+from runtime.crowd.passes import CrowdPasses
+from runtime.crowd.state import Stage
+from runtime.errors import NotCopied, RenderError
+from runtime.gpu import gl_state
+from runtime.gpu.context import can_free, require_current
+from runtime.gpu.model import Model, require_alive
+from runtime.gpu.textures import TEXTURE_UNITS
+from runtime.render.views import CrowdFrame
+from runtime.scene.actor import joint_boxes_of
+from runtime.validation import FASTEST, LONGEST_S, no_such, numbers, step_s, whole
+from runtime.validation import shown as told
+
+Floats = NDArray[np.floating[Any]]
+
+PLACES_BYTES = 8 << 20
+MOST_ACTORS = 10_000_000
+
+
+class Crowd(NotCopied):
+    """Many actors of one model.
+
+    Parameters
+    ----------
+    ctx : moderngl.Context
+        The model's.
+    model : Model
+    count : int
+        Number of actors. All stand at the origin in the rest pose at first.
+    clips : sequence of clip names, numbers or Clips, optional
+        Those that the crowd can play; by default all of the model's.
+    places_bytes : int
+        GPU memory for ready-made poses of the coarsest levels, which draw several times as fast; 0 for none.
+
+    Raises
+    ------
+    ValueError
+        For a negative count or an unknown clip.
+    RenderError
+        When the context was released or is another than the model's.
+    """
+
+    def __init__(
+        self,
+        ctx: moderngl.Context,
+        model: Model,
+        count: int,
+        *,
+        clips: Sequence[str | int | Clip] | None = None,
+        places_bytes: int = PLACES_BYTES,
+    ) -> None:
+        if not isinstance(ctx, moderngl.Context) or not isinstance(model, Model):
+            raise RenderError(f"a crowd is made of a context, a model and a number, not {told(ctx)}, {told(model)}")
+        require_alive(ctx, "crowd")
+        model.require_usable()
+        if ctx is not model.ctx:
+            raise RenderError(f"the model {model.asset.name} belongs to another context than the crowd")
+        require_current(ctx, "crowd")
+        if not whole(count) or not 0 <= count <= MOST_ACTORS:
+            raise ValueError(f"a crowd has 0 to {MOST_ACTORS:,} actors, not {told(count)}")
+        if isinstance(clips, str) or (clips is not None and not isinstance(clips, Sequence)):
+            raise ValueError(f"clips must be a list of names, numbers or Clips, not {told(clips)}")
+        if not whole(places_bytes) or places_bytes < 0:
+            raise ValueError(f"places_bytes must be a whole number of bytes, not {told(places_bytes)}")
+        self.ctx = ctx
+        self.model = model
+        mixer = model.mixer
+        chosen = mixer.clips if clips is None else [mixer.clips[mixer.clip_index(clip)] for clip in clips]
+        self._texture_limit = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
+        self.baked = bake_clips(mixer.skeleton, chosen, joint_boxes_of(model), min(MAX_ROWS, self._texture_limit))
+        self.stage = Stage(self.baked, int(count))
+        self.visible = True
+        self.last_counts: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+        self._released = False
+        self._owned: list[Any] = []
+        try:
+            units = (*range(len(TEXTURE_UNITS)), ctx.default_texture_unit)
+            with gl_state.saved_state(units, (), False):
+                self._rows_texture = self._upload_rows()
+                self._levels = self._upload_levels(places_bytes)
+        except BaseException:
+            self.release()
+            raise
+        self._passes = CrowdPasses(model, self._levels, self._seam_lines)
+        self.errors_m = np.array([one.error_m for one in self._levels])
+
+    def __repr__(self) -> str:
+        return f"<Crowd of {self.count:,} {self.model.asset.name!r}{', released' if self._released else ''}>"
+
+    # The actors
+
+    @property
+    def count(self) -> int:
+        """Number of actors."""
+        return self.stage.count
+
+    def place(self, transforms: ArrayLike, which: Any = None) -> None:
+        """Put actors somewhere.
+
+        Parameters
+        ----------
+        transforms : (A, 4, 4) or (4, 4) float
+            Object space to world.
+        which : slice, mask or numbers of actors, optional
+            All by default.
+
+        Raises
+        ------
+        ValueError
+            When a matrix is not finite or the shape is wrong; nobody is moved then.
+        """
+        self.stage.place(transforms, which)
+
+    def place_on_ground(self, positions: ArrayLike, headings: ArrayLike = 0.0, which: Any = None) -> None:
+        """Put actors at (A, 3) positions, metres, turned by (A,) headings about +Y, radians."""
+        self.stage.place_upright(positions, headings, which)
+
+    def play(
+        self,
+        clip: str | int | Clip | ArrayLike,
+        *,
+        which: Any = None,
+        phases_s: ArrayLike = 0.0,
+        speeds: ArrayLike = 1.0,
+        loop: bool = True,
+    ) -> None:
+        """Let actors play clips.
+
+        Parameters
+        ----------
+        clip : a name, a number or a Clip, or (A,) names or numbers into `clip_names`
+        which : slice, mask or numbers of actors, optional
+        phases_s : where in the clip each is now, seconds
+        speeds : factors
+        loop : over and over, or once and hold the end
+        """
+        stage, actors = self.stage, self.stage.index(which)
+        values = {
+            "clips": self._clip_numbers(clip),
+            "speeds": numbers(speeds, "speeds", FASTEST),
+            "phases_s": numbers(phases_s, "phases_s", LONGEST_S),
+        }
+        for name, value in values.items():
+            if value.shape not in ((), (len(actors),)):
+                raise ValueError(f"{len(actors)} actors need one of {name} each, or one for all, not {value.shape}")
+        stage.clips[actors] = values["clips"]
+        stage.speeds[actors] = values["speeds"]
+        stage.phases_s[actors] = values["phases_s"] - stage.clock_s * stage.speeds[actors]
+        stage.loops[actors] = loop
+        stage.place_spheres(actors)
+
+    def _clip_numbers(self, clip: str | int | Clip | ArrayLike) -> NDArray[np.int64]:
+        """Numbers of clips from what a caller may give."""
+        names = self.clip_names
+        if isinstance(clip, Clip):
+            clip = clip.name
+        given = np.asarray(clip)
+        if given.dtype.kind in "US":
+            known = {name: number for number, name in reversed(list(enumerate(names)))}
+            for name in np.unique(given).astype(str):
+                if name not in known:
+                    raise no_such("clip", str(name), names, "crowd")
+            return np.array([known[name] for name in given.ravel().astype(str)], dtype=np.int64).reshape(given.shape)
+        wrong = given.dtype.kind not in "iu" or (given < 0) | (given >= len(names))
+        if given.size and np.any(wrong):
+            first = told(clip if wrong is True else int(given[wrong].flat[0]))
+            raise ValueError(f"no clip {first}; the crowd has {len(names)}, counted from 0")
+        return given.astype(np.int64)
+
+    @property
+    def clip_names(self) -> tuple[str, ...]:
+        """Names of the clips the crowd can play; the last is the rest pose."""
+        return self.baked.names
+
+    def tint(self, colors: ArrayLike, which: Any = None) -> None:
+        """Set factors of the base colour: (A, 3), (A, 4), (3,) or (4,) float, linear, 0 to 1."""
+        actors, given = self.stage.index(which), numbers(colors, "tints")
+        if given.shape[-1:] not in ((3,), (4,)) or given.shape[:-1] not in ((), (len(actors),)):
+            raise ValueError(f"{len(actors)} actors need tints (A, 3) or (A, 4), or one for all, not {given.shape}")
+        bytes_ = np.rint(np.clip(given, 0, 1) * 255).astype(np.uint8)
+        self.stage.tints[actors, : given.shape[-1]] = bytes_
+
+    def show(self, shown: ArrayLike, which: Any = None) -> None:
+        """Show or hide actors: bool or (A,) bool."""
+        actors, given = self.stage.index(which), np.asarray(shown)
+        if given.dtype.kind != "b" or given.shape not in ((), (len(actors),)):
+            raise ValueError(f"{len(actors)} actors need True or False each, or one for all, not {told(shown)}")
+        self.stage.visible[actors] = given
+
+    def update(self, dt_s: float) -> None:
+        """Let time run on for everybody. Costs nothing: places in clips are computed for those in view only."""
+        self.stage.clock_s += step_s(dt_s, "a crowd")
+
+    # Buffers
+
+    @property
+    def textures(self) -> Mapping[str, moderngl.Texture]:
+        """Textures by the name of their sampler."""
+        return self.model.textures
+
+    @property
+    def gpu_bytes(self) -> dict[str, int]:
+        """Bytes in GPU memory by purpose, besides the model's: poses, places, vertices, instances."""
+        places = [level.places for level in self._levels if level.places is not None]
+        return {
+            "poses": int(self.baked.matrices.nbytes),
+            "places": sum(4 * texture.width * texture.height for texture in places),
+            "vertices": sum(int(level.vertices.size) for level in self._levels),
+            "instances": self._passes.instance_bytes,
+        }
+
+    def _upload_rows(self) -> moderngl.Texture:
+        """The texture of baked poses: three texels a joint, one pose a row."""
+        matrices = self.baked.matrices
+        size = (3 * matrices.shape[1], matrices.shape[0])
+        texture = self.ctx.texture(size, 4, np.ascontiguousarray(matrices).tobytes(), dtype="f4")
+        self._owned.append(texture)
+        texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        texture.repeat_x = texture.repeat_y = False
+        return texture
+
+    def _meshes(self) -> list[LevelMesh]:
+        """The levels to draw, the finest first."""
+        return model_meshes(self.ctx, self.model)
+
+    def _seam_lines(self, level: int) -> moderngl.Buffer | None:
+        """Index buffer of a level's seams, None where it has none."""
+        return self.model.levels.seam_lines(level)
+
+    def _upload_levels(self, places_bytes: int) -> tuple[CrowdLevel, ...]:
+        """Buffers and textures of every level."""
+        meshes, matrices = self._meshes(), self.baked.matrices
+        levels = []
+        for mesh, places in zip(meshes, bake_level_places(meshes, matrices, places_bytes, self._texture_limit)):
+            level = upload_level(self.ctx, mesh, places, matrices)
+            self._owned += [thing for thing in (level.vertices, level.places) if thing is not None]
+            levels.append(level)
+        return tuple(levels)
+
+    # Drawing
+
+    def draw_in(self, frame: CrowdFrame) -> None:
+        """Draw everybody in view into a renderer's picture. Called by `Renderer.draw`."""
+        if not self.visible or not self.count:
+            return
+        self._require_usable()
+        if frame.level is not None and not 0 <= frame.level < len(self._levels):
+            raise RenderError(f"the crowd has no level of detail {frame.level}: auto or 0 to {len(self._levels) - 1}")
+        selection = self.stage.select(frame.camera, frame.height_px, self.errors_m, frame.threshold_px, frame.level)
+        self.last_counts = selection.counts + selection.mirrored
+        if not len(selection.records):
+            return
+        self._passes.write(selection.records)
+        for name, texture in self.textures.items():
+            texture.use(TEXTURE_UNITS[name])
+        self._rows_texture.use(TEXTURE_UNITS["joint_texture"])
+        self._passes.draw(frame, selection, self.model.constants)
+
+    # The end
+
+    def _require_usable(self) -> None:
+        if self._released:
+            raise RenderError("the crowd was released: make a new one")
+        self.model.require_usable()
+
+    def release(self) -> None:
+        """Free what the crowd made. May be called more than once; the model stays."""
+        if self._released:
+            return
+        can_free_now = can_free(self.ctx, "crowd")
+        self._released = True
+        if not can_free_now:
+            return
+        if hasattr(self, "_passes"):
+            self._passes.release()
+        for thing in self._owned:
+            thing.release()
+        self._owned.clear()

@@ -1,0 +1,1 @@
+"""One picture: actors gathered into draw batches and drawn in a view."""
