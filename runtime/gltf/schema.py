@@ -12,7 +12,6 @@ from typing import Any
 
 from runtime.errors import AssetError
 
-
 LARGEST_INDEX = 2**53  # the largest whole number that every reader of JSON gets right
 
 
