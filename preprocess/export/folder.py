@@ -24,7 +24,7 @@ from preprocess.fit.textures import StoredTexture
 from preprocess.load import Character
 from preprocess.settings import Settings
 from runtime.animation.bounds import clip_bounds, joint_boxes
-from runtime.asset.asset import SCHEMA
+from runtime.asset.manifest import SCHEMA
 from runtime.asset.weight_quadtree import WeightDetails, pack_details
 
 MODEL = "model.glb"
