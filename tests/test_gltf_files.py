@@ -13,8 +13,8 @@ from builders_gltf import GltfBuilder, bent_bar
 from preprocess.load import load_character
 from runtime.errors import MOST_LETTERS, AssetError
 from runtime.gltf.document import read_document
-from runtime.gltf.files import find_inside, read_inside, read_regular
 from runtime.gltf.limits import Limits
+from runtime.gltf.local_files import find_local_file, read_regular
 
 
 def external(folder: Path, uri: str) -> Path:
@@ -40,7 +40,7 @@ def test_nothing_outside_the_folder_is_read(tmp_path: Path, uri: str) -> None:
     path = external(tmp_path / "job", uri)
     (tmp_path / "job" / "sub").mkdir()
     (tmp_path / "job" / "its buffer.bin").rename(tmp_path / "secret.bin")
-    assert "outside the file's folder" in refusal(path)
+    assert "is outside of" in refusal(path)
 
 
 def test_links_out_of_the_folder_and_what_is_no_regular_file(tmp_path: Path) -> None:
@@ -49,21 +49,21 @@ def test_links_out_of_the_folder_and_what_is_no_regular_file(tmp_path: Path) -> 
     (tmp_path / "secret.bin").write_bytes(data)
     link = tmp_path / "job" / "b.bin"
     link.symlink_to(tmp_path / "secret.bin")
-    assert "is a link out of" in refusal(path)
+    assert "is outside of" in refusal(path)
     link.unlink()
     link.symlink_to("its buffer.bin")  # within the folder a link is as good as a file
     assert len(read_document(path).accessor(0)) == 27
     link.unlink()
     link.symlink_to("/dev/zero")
-    assert "link out of" in refusal(path)
+    assert "is outside of" in refusal(path)
     link.unlink()
     os.mkfifo(link)
     assert "is a pipe" in refusal(path)
     link.unlink()
     link.mkdir()
-    assert "is missing" in refusal(path)
+    assert "is a folder, not a regular file" in refusal(path)
     inner = tmp_path / "job" / "sub" / ".." / "its buffer.bin"
-    assert find_inside(tmp_path / "job", "sub/../its buffer.bin") == inner.resolve()
+    assert find_local_file(tmp_path / "job", "sub/../its buffer.bin", "buffer 0", "") == inner.resolve()
 
 
 def test_sizes_are_asked_before_reading(tmp_path: Path) -> None:
@@ -71,7 +71,7 @@ def test_sizes_are_asked_before_reading(tmp_path: Path) -> None:
     with path.open("wb") as file:
         file.truncate(2**40)  # a hole: it takes no place
     with pytest.raises(AssetError, match="1099511627776 bytes, more than 1000: raise --limit file_bytes"):
-        read_inside(tmp_path, "large.bin", "buffer 0", 1000)
+        read_regular(path, 1000)
     with pytest.raises(AssetError, match="it is a folder"):
         read_regular(tmp_path)
 

@@ -26,8 +26,8 @@ from preprocess.files.obj_materials import ObjLooks
 from preprocess.files.polygons import cut_polygons
 from preprocess.mesh.surface import TexturedSurface
 from runtime.errors import AssetError
-from runtime.gltf.files import read_regular
 from runtime.gltf.limits import LIMITS, Limits
+from runtime.gltf.local_files import read_regular
 
 _NEWLINE, _SPACE, _SLASH = 10, 32, 47
 _BREAK = re.compile(rb"\\ *\n")

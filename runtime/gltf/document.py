@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import AssetError
-from runtime.gltf.files import read_regular, read_uri
 from runtime.gltf.limits import LIMITS, Limits
+from runtime.gltf.local_files import read_regular
 from runtime.gltf.schema import check_types
+from runtime.gltf.uris import read_uri
 
 GLB_MAGIC = b"glTF"
 CHUNK_JSON, CHUNK_BIN = 0x4E4F534A, 0x004E4942
@@ -86,7 +87,7 @@ class Document:
         entries = self.items(kind)
         if not isinstance(index, int) or isinstance(index, bool) or not 0 <= index < len(entries):
             raise AssetError(
-                f"{self.path.name}: {kind}[{index}] does not exist (there are {len(entries)}): export again"
+                f"{self.path.name}: {kind}[{str(index)[:20]}] does not exist (there are {len(entries)}): export again"
             )
         return entries[index]
 
