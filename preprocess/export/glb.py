@@ -190,7 +190,7 @@ def _describe_mesh(
         "POSITION": buffer.accessor(level.positions, ARRAY_BUFFER, bounds=True),
         "NORMAL": buffer.accessor(level.normals, ARRAY_BUFFER),
         "TEXCOORD_0": _uv_accessor(level.uvs, buffer),
-        "_OWNER_UV": _uv_accessor(level.owner_uvs, buffer),
+        "_OWNER_UV": _uv_accessor(level.canonical_uvs, buffer),
     }
     if level.normal_uvs is not None:
         attributes["TEXCOORD_1"] = buffer.accessor(level.normal_uvs, ARRAY_BUFFER, normalized=True)
@@ -252,7 +252,14 @@ def describe_model(
     second_uvs = any(uv_set(entry) for entry in textures.values())
     for name, lod, own_uvs in zip(names, lods, normal_uvs or [None] * len(lods)):
         level = build_lod_mesh(
-            mesh, skeleton.num_joints, lod.surface, lod.owner_uvs, lod.face_source, influences, own_uvs, lod.fetch_uvs
+            mesh,
+            skeleton.num_joints,
+            lod.surface,
+            lod.canonical_uvs,
+            lod.face_source,
+            influences,
+            own_uvs,
+            lod.fetch_uvs,
         )
         face_draws = draw_of_material[mesh.face_materials[lod.face_source]]
         nodes.append({"name": name, "mesh": len(meshes), "skin": 0})
