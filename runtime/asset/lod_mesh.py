@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.asset.manifest import LodEntry
 from runtime.errors import REBUILD, AssetError
 from runtime.gltf.document import Document
+from runtime.validation import shown
+
+TRIANGLES = 4  # glTF's number of that mode
 
 
 @dataclass(frozen=True)
@@ -99,7 +104,10 @@ def _read_lod(document: Document, mesh_index: Any, where: str, error_m: float) -
             arrays.append(_read_vertices(document, key, where))
             num_vertices += len(arrays[-1])
         start = starts[key]
-        indices = document.accessor(primitive["indices"]).astype(np.int64)
+        indices = document.accessor(primitive["indices"])
+        if indices.dtype.kind != "u" or indices.ndim != 1 or primitive.get("mode", TRIANGLES) != TRIANGLES:
+            raise AssetError(f"{where} is not made of triangles: {REBUILD}")
+        indices = indices.astype(np.int64)
         if len(indices) % 3 or (len(indices) and indices.max() >= num_vertices - start):
             raise AssetError(f"{where} has triangles of vertices that do not exist: {REBUILD}")
         all_triangles.append(indices.reshape(-1, 3) + start)
@@ -115,15 +123,13 @@ def _read_lod(document: Document, mesh_index: Any, where: str, error_m: float) -
     return LodMesh(uvs, canonical, merged, tuple(draws), error_m, normal_uvs)
 
 
-def read_lods(document: Document, character: str, entries: list[dict[str, Any]]) -> tuple[LodMesh, ...]:
+def read_lods(document: Document, entries: Sequence[LodEntry]) -> tuple[LodMesh, ...]:
     """The levels of detail of model.glb.
 
     Parameters
     ----------
     document : Document
-    character : str
-        Its name, which the levels' nodes bear unless their entries say otherwise.
-    entries : list of dict
+    entries : sequence of LodEntry
         What the manifest says of each level, the finest first.
 
     Raises
@@ -131,14 +137,15 @@ def read_lods(document: Document, character: str, entries: list[dict[str, Any]])
     AssetError
         If a level is missing or damaged.
     """
-    nodes = {node.get("name"): node for node in document.items("nodes") if "mesh" in node}
+    nodes = {str(node.get("name")): node for node in document.items("nodes") if "mesh" in node}
+    if len(nodes) != len(entries) or len({entry.node for entry in entries}) != len(entries):
+        raise AssetError(f"{document.path} has {len(nodes)} levels and the manifest {len(entries)}: {REBUILD}")
     lods = []
-    for level, entry in enumerate(entries):
-        name = entry.get("node", f"{character}_LOD{level}")
-        if name not in nodes:
-            raise AssetError(f"{document.path} has no mesh node {name}, which the manifest names: {REBUILD}")
-        error = entry.get("error_m", 0.0)
-        if not isinstance(error, int | float) or not np.isfinite(error) or error < 0:
-            raise AssetError(f"{document.path.parent / 'manifest.json'}: lods[{level}].error_m is {error}: {REBUILD}")
-        lods.append(_read_lod(document, nodes[name]["mesh"], f"{document.path}: {name}", float(error)))
+    for entry in entries:
+        if entry.node not in nodes:
+            raise AssetError(f"{document.path} has no mesh node {shown(entry.node)} of the manifest: {REBUILD}")
+        where = f"{document.path}: {entry.node[:60]}"
+        lods.append(_read_lod(document, nodes[entry.node]["mesh"], where, entry.error_m))
+        if len(lods[-1].triangles) != entry.faces:
+            raise AssetError(f"{where} has {len(lods[-1].triangles)} faces, the manifest says {entry.faces}: {REBUILD}")
     return tuple(lods)

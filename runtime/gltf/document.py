@@ -79,7 +79,7 @@ class Document:
         entries = self.items(kind)
         if not isinstance(index, int) or isinstance(index, bool) or not 0 <= index < len(entries):
             raise AssetError(
-                f"{self.path.name}: {kind}[{index}] does not exist (there are {len(entries)}): export again"
+                f"{self.path.name}: {kind}[{str(index)[:20]}] does not exist (there are {len(entries)}): export again"
             )
         return entries[index]
 
@@ -305,7 +305,7 @@ def _parse_json(data: bytes, path: Path) -> dict[str, Any]:
         raise AssetError(f"{path.name} is not a glTF file: it has no asset object: export it as .glb or .gltf")
     version = str(root["asset"].get("version", ""))
     if not version.startswith("2"):
-        raise AssetError(f"{path.name} is glTF version {version or 'unknown'}: export it as glTF 2.0")
+        raise AssetError(f"{path.name} is glTF version {version[:20] or 'unknown'}: export it as glTF 2.0")
     check_types(root, path.name)
     return root
 

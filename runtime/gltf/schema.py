@@ -12,11 +12,13 @@ from typing import Any
 
 from runtime.errors import AssetError
 
+LARGEST_INDEX = 2**53  # the largest whole number that every reader of JSON gets right
+
 
 class Kind(Enum):
     """Type of a value; its own value completes the sentence "must be ..."."""
 
-    INDEX = "a whole number, zero or more"
+    INDEX = "a whole number, zero to 2^53"
     NUMBER = "a finite number"
     TEXT = "text"
 
@@ -157,7 +159,7 @@ def _find_fault(value: Any, rule: Rule) -> tuple[str, str] | None:
                 return f"[{position}]{fault[0]}", fault[1]
         return None
     if rule is INDEX:
-        return None if type(value) is int and value >= 0 else ("", rule.value)
+        return None if type(value) is int and 0 <= value <= LARGEST_INDEX else ("", rule.value)
     if rule is NUMBER:
         fits = type(value) in (int, float) and abs(value) < 1e300 and math.isfinite(value)
         return None if fits else ("", rule.value)
