@@ -78,7 +78,7 @@ def _distinct_clips(clips: tuple[Clip, ...], warnings: list[str]) -> tuple[Clip,
 def _load(document: Document) -> Character:
     document.require_extensions(SUPPORTED_EXTENSIONS)
     scene = read_scene(document)
-    warnings = list(scene.warnings)
+    warnings = [*document.notes, *scene.warnings]
     if all(part.skin is None for part in scene.parts):
         warnings.append("the file has no skin: its parts move with their nodes")
     used = list(dict.fromkeys(part.source.material for part in scene.parts))
@@ -96,7 +96,7 @@ def _load(document: Document) -> Character:
     warnings += _dropped_channels(document, clips)
     clips = _distinct_clips(clips, warnings)
     return Character(
-        name=document.path.stem,
+        name=document.path.stem.encode("utf-8", "replace").decode(),
         source=document.path,
         source_hash=hashlib.sha256(document.path.read_bytes()).hexdigest(),
         mesh=mesh,
