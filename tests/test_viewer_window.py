@@ -49,7 +49,7 @@ with Window("test", options.size) as window:
     viewer.key("h")
     without = frames(3)
     difference = np.abs(with_panel - without).max(axis=2) > 8
-    left, right = difference[:, :330].mean(), difference[:, 330:].mean()
+    left, right = difference[:, :375].mean(), difference[:, 375:].mean()
     assert left > 0.2 and right < 0.01, (left, right)
     viewer.key("h")
     # A click on the check box "paused": the panel acts, and what lies below it does not turn.
