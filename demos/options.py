@@ -48,6 +48,7 @@ class Options:
     eye, target : three floats or None
     fovy_deg : float
     view : str
+    backdrop : bool
     """
 
     folder: Path | None

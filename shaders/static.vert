@@ -1,6 +1,6 @@
 // A level of detail as it is: one vertex a corner of its triangles, everything but its uvs fetched from textures.
 //
-// Every copy of a surface point has the same owner uv and so computes the same bits (method: watertight, bit for bit);
+// Every copy of a surface point has the same owner uv and so computes the same bits (docs/method.md, section 6);
 // the material is sampled at the copy's own uv.
 #include "include/frame.glsl"
 #include "include/instance.glsl"
