@@ -330,8 +330,12 @@ def bake_normals(
 
     Parameters
     ----------
+    character : Character
+    mesh : SkinnedMesh
+        With the uvs of the atlas.
     tangents : (F, 3, 4) float or None
         `normal_tangents`.
+    coverage : Coverage
     """
     near = coverage.faces >= 0
     height, width = coverage.shape

@@ -92,10 +92,10 @@ class Lod:
         Mean angle between the normals there; NaN where not measured.
     exact : bool
         Whether every seam of it is a seam of the full mesh, retimed by nothing but rounding.
-    dropped_parts : int
-        Whole parts of the mesh left out because they are smaller than the level's error.
     uv_bound_px : float
         How far seams left their lines, in texels of the finest mip; 0 (rounding aside) where exact.
+    dropped_parts : int
+        Whole parts of the mesh left out because they are smaller than the level's error.
     fetch_uvs : (V, 2) float64 or None
         Where each surface vertex fetches its geometry, if not at its canonical uv.
     """
