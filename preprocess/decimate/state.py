@@ -30,9 +30,9 @@ from preprocess.decimate.rules import Mesh
 from preprocess.decimate.seam_precision import straighten_within, written_tolerance_uv
 from preprocess.decimate.skinning import Skinning, make_skinning
 from preprocess.decimate.topology import TAIL, TWIN, WEDGE, HalfEdges, build_half_edges, source_uvs
-from preprocess.decimate.vertex_cache import reorder
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.mesh.texels import sample_bilinear
+from preprocess.mesh.vertex_cache import reorder
 
 # Faces may turn by at most about 78 degrees in one collapse.
 MIN_NORMAL_DOT = 0.2
