@@ -10,7 +10,7 @@ import stat
 from pathlib import Path
 
 from runtime.errors import AssetError
-from runtime.validation import shown
+from runtime.validation import describe
 
 
 def find_local_file(folder: Path, name: str, what: str, advice: str) -> Path:
@@ -38,9 +38,9 @@ def find_local_file(folder: Path, name: str, what: str, advice: str) -> Path:
     except FileNotFoundError:
         raise AssetError(f"{what}: {folder / name} is missing: {advice}") from None
     except (OSError, ValueError, RuntimeError):  # too long, a zero byte, a circle of links
-        raise AssetError(f"{what}: {shown(name)} is no name of a file: {advice}") from None
+        raise AssetError(f"{what}: {describe(name)} is no name of a file: {advice}") from None
     if not inside:
-        raise AssetError(f"{what}: {shown(name)} is outside of {folder}: {advice}")
+        raise AssetError(f"{what}: {describe(name)} is outside of {folder}: {advice}")
     if not stat.S_ISREG(mode):
-        raise AssetError(f"{what}: {shown(name)} is not a regular file: {advice}")
+        raise AssetError(f"{what}: {describe(name)} is not a regular file: {advice}")
     return path
