@@ -83,9 +83,6 @@ def pack_details(details: WeightDetails, wide: bool) -> NDArray[Any]:
     missing = ((0, 0), (0, 0), (0, 4 * num_lists - slots))
     steps = details.weights * stored_step(np.uint16 if wide else np.uint8)
     lists = [np.pad(values, missing) for values in (details.joints, steps)]
-        np.pad(values, missing)
-        for values in (details.joints, details.weights * stored_step(np.uint16 if wide else np.uint8))
-    ]
     for number in range(num_lists):
         for kind in range(2):
             planes[2 * number + kind, :num_leaves] = lists[kind][:, :, 4 * number : 4 * number + 4]

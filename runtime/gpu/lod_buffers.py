@@ -52,6 +52,10 @@ class GpuLod:
 
     Attributes
     ----------
+    mesh : LodMesh
+        What the buffers were made from.
+    groups : tuple of DrawGroup
+        One draw call each.
     vertices : Buffer
         `vertex_bytes`.
     indices : Buffer
