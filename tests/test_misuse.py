@@ -12,7 +12,7 @@ import pytest
 from builders_scene import Scene
 
 import runtime
-from runtime import validation as given
+from runtime import validation
 from runtime.errors import AssetError, RenderError
 
 NAN, INF = float("nan"), float("inf")
@@ -228,12 +228,12 @@ def test_a_path_is_told_from_what_is_none(tmp_path: Path) -> None:
 
 def test_names_are_suggested_and_lists_kept_short() -> None:
     names = [f"Walk_{index}" for index in range(40)]
-    assert str(given.no_such("clip", "walk_7", names, "character")).startswith(
+    assert str(validation.unknown_name("clip", "walk_7", names, "character")).startswith(
         "no clip 'walk_7'; did you mean 'Walk_7'"
     )
-    assert str(given.no_such("clip", "qqq", names, "character")).endswith("'Walk_11' and 28 more")
-    assert str(given.no_such("clip", "qqq", [], "character")) == "no clip 'qqq'; the character has none"
-    assert "Walking_A" in str(given.no_such("clip", "walk", ["Idle", "Walking_A"], "character"))
+    assert str(validation.unknown_name("clip", "qqq", names, "character")).endswith("'Walk_11' and 28 more")
+    assert str(validation.unknown_name("clip", "qqq", [], "character")) == "no clip 'qqq'; the character has none"
+    assert "Walking_A" in str(validation.unknown_name("clip", "walk", ["Idle", "Walking_A"], "character"))
 
 
 @pytest.mark.parametrize(

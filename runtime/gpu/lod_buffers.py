@@ -54,7 +54,7 @@ class GpuLod:
     ----------
     mesh : LodMesh
         What the buffers were made from.
-    groups : tuple of DrawGroup
+    ranges : tuple of MaterialRange
         One draw call each.
     vertices : Buffer
         `vertex_bytes`.
