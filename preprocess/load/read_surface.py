@@ -6,17 +6,18 @@ from pathlib import Path
 
 from preprocess.errors import InputError
 from preprocess.files.obj import read_obj
+from preprocess.files.other_meshes import SUFFIXES, read_other
 from preprocess.load.character_file import load_character
 from preprocess.mesh.surface import TexturedSurface
 
 
 def read_surface(path: Path) -> TexturedSurface:
-    """Read the textured surface of an OBJ or glTF file.
+    """Read the textured surface of an OBJ, glTF, PLY, Collada, 3MF or OFF file.
 
     Parameters
     ----------
     path : Path
-        `.obj`, `.gltf`, `.glb` or `.vrm`.
+        `.obj`, `.gltf`, `.glb`, `.vrm`, or what trimesh reads (`other_meshes.SUFFIXES`).
 
     Returns
     -------
@@ -31,8 +32,10 @@ def read_surface(path: Path) -> TexturedSurface:
     path = Path(path)
     if path.suffix.lower() == ".obj":
         return read_obj(path)
+    if path.suffix.lower() in SUFFIXES:
+        return read_other(path)
     if path.suffix.lower() not in (".gltf", ".glb", ".vrm"):
-        raise InputError(f"{path}: neither OBJ nor glTF: give a .obj, .gltf, .glb or .vrm file")
+        raise InputError(f"{path}: not a mesh that is read: give a .obj, .gltf, .glb, .vrm, {', '.join(SUFFIXES)} file")
     mesh = load_character(path).mesh
     if not mesh.has_uvs:
         raise InputError(f"{path.name}: a part has no texture coordinates: build it whole (python -m preprocess MODEL)")
