@@ -1,8 +1,8 @@
 """The atlas stage: every point of a character gets its own texel region, with the least change that works.
 
 Charts of the source that are sound are kept in shape. If all are, and lie apart in the square, they stay where they are
-(`keep`); else they are packed anew, each with the texels that its detail needs (`repack`). What is folded, flat, crushed
-or has no texture coordinates gets charts of its own (`unwrap`).
+(`keep`); else they are packed anew, each with the texels that its detail needs (`repack`). What is folded, flat,
+crushed or has no texture coordinates gets charts of its own (`unwrap`).
 
 sound charts > new charts for the rest > straight seams > packing > uvs that bear storing.
 """
@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.arrays import Floats
-from preprocess.atlas.chart_scales import MIN_SIZE_PX, chart_densities, texture_side, wanted_side
+from preprocess.atlas.chart_scales import MIN_SIZE_PX, NORMAL_SIZE_PX, texture_side, wanted_side
 from preprocess.atlas.crowding import measure_crowding
-from preprocess.atlas.detail import largest_needs
+from preprocess.atlas.detail import Detail, find_detail, no_detail
 from preprocess.atlas.distortion import turned_areas
 from preprocess.atlas.flatten import local_triangles
 from preprocess.atlas.measure import (
@@ -31,7 +31,7 @@ from preprocess.atlas.measure import (
     measure_texels,
     straight_share,
 )
-from preprocess.atlas.pack import pack_charts
+from preprocess.atlas.placement import FILL, place_charts
 from preprocess.atlas.snap import bear_snapping
 from preprocess.atlas.source_charts import (
     find_charts,
@@ -41,12 +41,14 @@ from preprocess.atlas.source_charts import (
 )
 from preprocess.atlas.unwrap import unwrap
 from preprocess.errors import InputError
-from preprocess.mesh.edges import cut_edges, face_frames, find_edges, label_faces
+from preprocess.load import Character
+from preprocess.mesh.edges import cut_edges, find_edges, label_faces
 from preprocess.mesh.predicates import face_orientation
 from preprocess.mesh.split_edges import apply_split
 from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
 from preprocess.mesh.texels import snap_owner_uvs
 from preprocess.mesh.uv_overlap import find_overlap
+from preprocess.settings import Settings, floor_faces
 from preprocess.straighten import Straightened, straighten
 
 log = logging.getLogger(__name__)
@@ -57,8 +59,8 @@ TOLERANCES_REL = (0.01, 0.02)
 """Straightening tolerances that `auto` tries, of the diagonal of a seam's bounding box; the first is the paper's."""
 
 MOST_DISTORTION = 2.0
-"""Of straightening: |J|² / (2 det J). With 4 the human character has 120 faces that are stretched more than 4 : 1, with 2
-the 52 of the source; 1.25 leaves half as many faces more at the floor."""
+"""Of straightening: |J|² / (2 det J). With 4 the human character has 120 faces that are stretched more than 4 : 1, with
+2 the 52 of the source; 1.25 leaves half as many faces more at the floor."""
 
 MAX_CROWDED = 0.0005
 """Share of the used texels that two charts may claim before `auto` packs them anew."""
@@ -66,19 +68,10 @@ MAX_CROWDED = 0.0005
 MAX_SPARSE = 0.001
 """Share of the surface that may have under a quarter of the median texels a metre before `auto` packs anew."""
 
-GUTTER_SIZE_PX, GUTTER_PX = 1024, 8.0
-"""Charts stay this many texels of a texture of that size apart: two, where geometry and weights have 256 …"""
+CROWDED_PX = 512
+"""Side of the texture in which charts that are kept in place must not share texels: about what geometry has."""
 
-GUTTER_SHARE, LEAST_GUTTER_PX = 0.15, 2.0
-"""… or fewer, where gutters would take more of the square than this; two texels of the largest texture at least."""
-
-LEAST_CHART_PX = 2.0
-"""Side of the square, in texels at `GUTTER_SIZE_PX`, that a chart covers at least."""
-
-NORMAL_SIZE_PX = 1024
-"""Side of the normal texture of a character without normal maps: all have one of this size at least."""
-
-FILL = 0.65  # of the square, by charts: what packing usually comes to
+ALMOST = 1.1  # times a texture's side: what is wanted beyond it is reported
 
 ATTEMPTS = 3  # at packing without overlaps once uvs are rounded
 
@@ -111,8 +104,8 @@ class Atlas:
         Faces at which decimation should arrive with its seams intact.
     made_seams : (F, 3) bool
         Half-edges (corner c to c + 1) that are seams in the atlas but were not in the source's uvs.
-    needs : dict of str to (F,) float64
-        Texels a metre that the faces need of each kind of texture.
+    sides : dict of str to int
+        Sides of the textures, by kind, in which every part keeps the detail that its source has.
     texels : dict
         `measure_texels`.
     warnings : tuple of str
@@ -131,7 +124,7 @@ class Atlas:
     resampled: bool
     floor_faces: int
     made_seams: NDArray[np.bool_]
-    needs: Mapping[str, Floats] = field(default_factory=dict)
+    sides: Mapping[str, int] = field(default_factory=dict)
     texels: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     report: dict[str, Any] = field(default_factory=dict)
@@ -143,8 +136,7 @@ def build_atlas(
     mode: str = "auto",
     floor: int = 0,
     straighten_rel: float | None = TOLERANCES_REL[0],
-    needs: Mapping[str, Floats] | None = None,
-    image_sizes: Floats | None = None,
+    detail: Detail | None = None,
 ) -> Atlas:
     """Give every surface point its own place in one texture.
 
@@ -158,10 +150,8 @@ def build_atlas(
         Faces that the coarsest exact level should have: a wish. `auto` straightens more for it, within its limits.
     straighten_rel : float, optional
         Tolerance of straightening, of the diagonal of a seam's bounding box; None: leave seams as they are.
-    needs : dict of str to (F,) float64, optional
-        Texels a metre that the faces need of each kind of texture (`detail.find_needs`); all alike unless given.
-    image_sizes : (F, 2) float64, optional
-        Width and height of the images that the uvs point into (`detail.image_sizes`); square unless given.
+    detail : Detail, optional
+        What the textures need; all parts of the surface are alike unless given.
 
     Returns
     -------
@@ -178,8 +168,7 @@ def build_atlas(
         raise ValueError(f"atlas mode {mode!r} is none of {', '.join(MODES)}")
     if not mesh.num_faces:
         raise InputError("the mesh has no faces: there is no atlas to build")
-    needs = {} if needs is None else needs
-    sizes = np.ones((mesh.num_faces, 2)) if image_sizes is None else image_sizes
+    detail = no_detail(mesh.num_faces) if detail is None else detail
     flat = local_triangles(mesh.surface.positions, mesh.surface.faces)
     if mode in ("keep", "repack"):
         reason = _why_not_usable(mesh) or (_why_not_inside(mesh) if mode == "keep" else _why_not_flat(mesh))
@@ -189,18 +178,18 @@ def build_atlas(
     elif mode == "unwrap":
         charts = np.full(mesh.num_faces, -1, np.int64)
     else:
-        charts = find_sound_charts(mesh.surface, flat, sizes)
+        charts = find_sound_charts(mesh.surface, flat, detail.image_sizes)
     reasons = []
     if mode in ("auto", "keep"):
         why_not = _why_not_keep(mesh, charts) if mode == "auto" else ""
-        atlas = None if why_not else _keep(mesh, straighten_rel, floor, needs)
+        atlas = None if why_not else _keep(mesh, straighten_rel, floor, detail)
         if atlas is not None and (mode == "keep" or not atlas.overlap):
             return atlas
         reasons.append("keep: " + (why_not or "its uvs overlap once they are rounded to be stored"))
         log.info("atlas: not kept as it is: %s", reasons[-1])
     if mode == "auto":
-        charts = np.where(_on_plain_parts(mesh, flat, needs), -1, charts)
-    made = _pack_anew(mesh, charts, flat, sizes, straighten_rel, needs)
+        charts = np.where(_on_plain_parts(mesh, flat, detail), -1, charts)
+    made = _pack_anew(mesh, charts, flat, straighten_rel, detail)
     return dataclasses.replace(made, report={"not_chosen": reasons})
 
 
@@ -233,30 +222,30 @@ def _why_not_keep(mesh: SkinnedMesh, charts: NDArray[np.int64]) -> str:
     overlap = find_overlap(surface.uvs, surface.face_uvs)
     if not overlap.one_to_one:
         return f"{100 * overlap.faces.mean():.1f} % of the faces overlap others"
-    crowded = measure_crowding(surface, GUTTER_SIZE_PX // 2)
+    crowded = measure_crowding(surface, CROWDED_PX)
     if crowded > MAX_CROWDED:
-        return f"charts are so near that they share {100 * crowded:.2f} % of the texels at 512 x 512"
-    sparse = measure_texels(surface, GUTTER_SIZE_PX)["sparse_area"]
+        return f"charts are so near that they share {100 * crowded:.2f} % of the texels at {CROWDED_PX} x {CROWDED_PX}"
+    sparse = measure_texels(surface, CROWDED_PX)["sparse_area"]
     return f"{100 * sparse:.1f} % of the surface has few texels" if sparse > MAX_SPARSE else ""
 
 
-def _on_plain_parts(mesh: SkinnedMesh, flat: Floats, needs: Mapping[str, Floats]) -> NDArray[np.bool_]:
+def _on_plain_parts(mesh: SkinnedMesh, flat: Floats, detail: Detail) -> NDArray[np.bool_]:
     """Faces of parts on which little is painted, (F,): new charts are fewer than the source's, and lose nothing.
 
     Little is what the smallest texture shows at half of its density.
     """
     areas = turned_areas(flat)
     shown = MIN_SIZE_PX * np.sqrt(FILL / areas.sum())
-    painted = largest_needs(needs, mesh.num_faces) > 0.5 * shown
+    painted = detail.finest() > 0.5 * shown
     return in_parts_with_little(mesh.surface.faces, areas, painted)
 
 
-def _keep(mesh: SkinnedMesh, straighten_rel: float | None, floor: int, needs: Mapping[str, Floats]) -> Atlas:
+def _keep(mesh: SkinnedMesh, straighten_rel: float | None, floor: int, detail: Detail) -> Atlas:
     """The source's layout with straighter seams."""
     straight = _straighten(mesh.surface, straighten_rel, floor, keep_packing=True)
     kept = apply_split(mesh, straight.split).with_surface(straight.surface) if straighten_rel is not None else mesh
     sources = straight.split.face_source if straighten_rel is not None else np.arange(mesh.num_faces)
-    return _finish(kept, "keep", 1.0, straighten_rel is not None, straight.floor_faces, _of_faces(needs, sources))
+    return _finish(kept, "keep", 1.0, straighten_rel is not None, straight.floor_faces, detail.of_faces(sources))
 
 
 def _straighten(
@@ -277,20 +266,19 @@ def _pack_anew(
     mesh: SkinnedMesh,
     charts: NDArray[np.int64],
     flat: Floats,
-    sizes: Floats,
     straighten_rel: float | None,
-    needs: Mapping[str, Floats],
+    detail: Detail,
 ) -> Atlas:
     """Kept charts and new ones for faces of chart -1, straightened and packed."""
     areas = turned_areas(flat)
     kept_share = float(areas[charts >= 0].sum() / areas.sum())
     for _ in range(ATTEMPTS):
-        apart = _lay_out(mesh, charts, sizes, flat)
+        apart = _lay_out(mesh, charts, detail.image_sizes, flat)
         # Once: a higher tolerance saves a tenth of the faces at the floor and costs as much as all the rest.
         straight = _straighten(apart, straighten_rel, mesh.num_faces, keep_packing=False)
         made, sources = apply_split(mesh, straight.split), straight.split.face_source
-        made_needs = _of_faces(needs, sources)
-        packed = _pack(straight.surface, largest_needs(made_needs, len(sources)))
+        made_detail = detail.of_faces(sources)
+        packed = place_charts(straight.surface, made_detail.finest())
         uvs = bear_snapping(packed.uvs, packed.face_uvs)
         packed = dataclasses.replace(packed, uvs=uvs)
         overlapping = find_overlap(snap_owner_uvs(uvs), packed.face_uvs).faces
@@ -300,7 +288,7 @@ def _pack_anew(
         charts = charts.copy()
         charts[np.unique(sources[overlapping])] = -1
     mode = "repack" if kept_share > 0.5 else "unwrap"
-    return _finish(made.with_surface(packed), mode, kept_share, True, straight.floor_faces, made_needs)
+    return _finish(made.with_surface(packed), mode, kept_share, True, straight.floor_faces, made_detail)
 
 
 def _lay_out(mesh: SkinnedMesh, charts: NDArray[np.int64], sizes: Floats, flat: Floats) -> TexturedSurface:
@@ -327,51 +315,12 @@ def _lay_out(mesh: SkinnedMesh, charts: NDArray[np.int64], sizes: Floats, flat: 
         rows = np.flatnonzero(~kept)
         own_ids, own = unwrap(surface.positions, surface.faces[rows], mesh.face_materials[rows])
         face_uvs[rows] = own_ids + len(uvs)
-        uvs = np.concatenate([uvs, unit * own])
+        uvs = np.concatenate([uvs, unit * own * (1.0, -1.0)])  # v runs down
     return TexturedSurface(surface.positions, surface.faces, uvs, face_uvs)
 
 
-def _pack(surface: TexturedSurface, needs: Floats) -> TexturedSurface:
-    """Place all charts in the unit square, each with the texels that it needs."""
-    edges = find_edges(surface.faces)
-    cut = cut_edges(edges, surface.face_uvs)
-    num_charts, charts = label_faces(edges, cut)
-    areas_m2 = face_frames(surface.positions, surface.faces)[0]
-    corners = surface.uvs[surface.face_uvs]
-    uv_areas = np.bincount(charts, np.abs(turned_areas(corners)), num_charts)
-    density = chart_densities(needs, areas_m2, charts, num_charts)
-    true_m = np.sqrt(np.bincount(charts, areas_m2, num_charts) / np.maximum(uv_areas, 1e-300))
-    true_m = np.where(true_m > 0, true_m, np.median(true_m))
-    factor = density * true_m  # texels for one uv of a chart as it comes
-    halves = edges.halves[cut]
-    halves = halves[halves >= 0]
-    ends = halves - halves % 3 + (halves + 1) % 3
-    points = corners.reshape(-1, 2)
-    segments = np.stack([points[halves], points[ends]], axis=1) * factor[charts[halves // 3]][:, None, None]
-    areas = uv_areas * factor**2
-    gutter = _choose_gutter(segments, float(areas.sum()))
-    packing = pack_charts(segments, charts[halves // 3], num_charts, areas, GUTTER_SIZE_PX, gutter, LEAST_CHART_PX)
-    uv_charts = np.zeros(len(surface.uvs), np.int64)
-    uv_charts[surface.face_uvs] = charts[:, None]
-    uvs = packing.apply(surface.uvs * factor[uv_charts][:, None], uv_charts)
-    return TexturedSurface(surface.positions, surface.faces, uvs, surface.face_uvs)
-
-
-def _choose_gutter(segments: Floats, area: float) -> float:
-    """Least distance of charts in texels at `GUTTER_SIZE_PX`, from all outlines and the area in texels."""
-    side = np.sqrt(area / FILL)  # of the square, texels
-    outline = float(np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1).sum()) / side
-    widest = 2.0 * GUTTER_SHARE / max(outline, 1e-300) * GUTTER_SIZE_PX
-    least = LEAST_GUTTER_PX * min(GUTTER_SIZE_PX / texture_side(side), 1.0)
-    return float(np.clip(widest, least, GUTTER_PX))
-
-
-def _of_faces(needs: Mapping[str, Floats], sources: NDArray[np.integer]) -> dict[str, Floats]:
-    return {kind: need[sources] for kind, need in needs.items()}
-
-
 def _finish(
-    mesh: SkinnedMesh, mode: str, kept_share: float, resampled: bool, floor_faces: int, needs: Mapping[str, Floats]
+    mesh: SkinnedMesh, mode: str, kept_share: float, resampled: bool, floor_faces: int, detail: Detail
 ) -> Atlas:
     """Measure what was made, as it will be stored."""
     surface = mesh.surface
@@ -379,11 +328,14 @@ def _finish(
         surface = dataclasses.replace(surface, uvs=bear_snapping(surface.uvs, surface.face_uvs))
         mesh = mesh.with_surface(surface)
     stored = dataclasses.replace(surface, uvs=snap_owner_uvs(surface.uvs))
+    wanted = {kind: wanted_side(stored, need) for kind, need in detail.needs.items() if detail.sides[kind]}
+    if mode == "keep":  # what straightening takes from a chart is no reason for a larger texture
+        wanted = {kind: min(side, float(detail.sides[kind])) for kind, side in wanted.items()}
     edges = find_edges(surface.faces)
     cut = cut_edges(edges, surface.face_uvs)
     overlap = find_overlap(stored.uvs, surface.face_uvs)
-    size_px = max(texture_side(wanted_side(stored, largest_needs(needs, mesh.num_faces))), NORMAL_SIZE_PX)
-    texels = measure_texels(stored, size_px)
+    sides = {kind: texture_side(side) for kind, side in wanted.items()}
+    texels = measure_texels(stored, max([NORMAL_SIZE_PX, *sides.values()]))
     l2, linf = measure_stretch(stored)
     atlas = Atlas(
         mesh=mesh,
@@ -398,9 +350,9 @@ def _finish(
         resampled=resampled,
         floor_faces=floor_faces,
         made_seams=_made_seams(mesh, cut[edges.face_edges]),
-        needs=needs,
+        sides=sides,
         texels=texels,
-        warnings=_warn(overlap, texels),
+        warnings=(*_warn(overlap, texels), *_warn_of_sizes(mesh, wanted, sides)),
     )
     log.info("atlas: %s, %d charts, stretch %.2f, coverage %.0f %%", mode, atlas.num_charts, l2, 100 * atlas.coverage)
     return atlas
@@ -422,6 +374,16 @@ def _warn(overlap: Any, texels: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(warnings)
 
 
+def _warn_of_sizes(mesh: SkinnedMesh, wanted: Mapping[str, float], sides: Mapping[str, int]) -> tuple[str, ...]:
+    """What does not fit into the largest texture that is made."""
+    return tuple(
+        f"{kind} is {sides[kind]} x {sides[kind]}: {int(np.ceil(side))} x {int(np.ceil(side))} would keep every texel "
+        f"of the source; --color-size {2 * sides[kind]} makes it so, at the cost of time and memory"
+        for kind, side in wanted.items()
+        if side > ALMOST * sides[kind]
+    )
+
+
 def _made_seams(mesh: SkinnedMesh, cut: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Cut half-edges along which the source's own texture coordinates are continuous, (F, 3)."""
     edges = find_edges(mesh.surface.faces)
@@ -436,3 +398,14 @@ def _made_seams(mesh: SkinnedMesh, cut: NDArray[np.bool_]) -> NDArray[np.bool_]:
     source_seam = np.zeros(len(edges.glued), bool)
     source_seam[edges.glued] = differs
     return made & ~source_seam[edges.face_edges]
+
+
+def character_atlas(character: Character, settings: Settings) -> Atlas:
+    """The atlas of a character with the settings of its build."""
+    return build_atlas(
+        character.mesh,
+        mode=settings.atlas,
+        floor=floor_faces(character.mesh.num_faces, settings.floor_rel),
+        straighten_rel=settings.straighten_rel,
+        detail=find_detail(character),
+    )

@@ -14,6 +14,8 @@ from preprocess.mesh.surface import TexturedSurface
 
 MIN_SIZE_PX, MAX_SIZE_PX = 512, 4096  # of an automatic size; borders between flat colours need some texels too
 
+NORMAL_SIZE_PX = 1024  # of a normal texture without normal maps
+
 FINEST_SHARE = 0.95
 """Of a chart's area: its scale is right for all but what is finer than this."""
 
@@ -25,7 +27,8 @@ SAFE_FILL = 0.5
 """Of the square that charts cover at least, so that what is given away does not make the texture larger."""
 
 SMALLER = 0.1
-"""Of a size, that its next power of two may be larger: 7 % fewer texels a metre are not seen, four times as many cost."""
+"""Of a size, that its next power of two may be larger: 7 % fewer texels a metre are not seen, four times
+as many cost."""
 
 
 def chart_densities(needs: Floats, areas_m2: Floats, face_charts: NDArray[np.integer], num_charts: int) -> Floats:

@@ -7,7 +7,8 @@ where its parts could be halved before. A palette's flat cells need next to noth
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from preprocess.mesh.edges import face_frames
 from preprocess.mesh.surface import SkinnedMesh
 from preprocess.numerics.jit import entry
 
-SAME = 6.0 / 255.0
+SAME = 4.0 / 255.0
 """Largest difference of a channel, as stored, that does not count: about the noise of a JPEG."""
 
 COARSEST = 6
@@ -31,6 +32,34 @@ FARTHEST_PX = 1e8
 KINDS = ("base_color", "normal", "orm", "emissive")
 
 
+@dataclass(frozen=True)
+class Detail:
+    """What the source's textures ask of an atlas.
+
+    Attributes
+    ----------
+    needs : dict of str to (F,) float64
+        Texels a metre that every face needs of each kind of texture; 0 where it has none.
+    image_sizes : (F, 2) float64
+        Width and height of the image that a face's first uvs point into; ones where there is none.
+    sides : dict of str to int
+        Longest side of each kind's images; 0 where there are none.
+    """
+
+    needs: dict[str, Floats]
+    image_sizes: Floats
+    sides: dict[str, int]
+
+    def finest(self) -> Floats:
+        """Texels a metre for the most demanding kind, (F,)."""
+        return np.max([np.zeros(len(self.image_sizes)), *self.needs.values()], axis=0)
+
+    def of_faces(self, sources: NDArray[np.integer]) -> Detail:
+        """The same for faces that are parts of others."""
+        needs = {kind: need[sources] for kind, need in self.needs.items()}
+        return Detail(needs, self.image_sizes[sources], self.sides)
+
+
 def refs_of(materials: Sequence[Material], kind: str) -> list[TextureRef | None]:
     """The textures of one kind, a material."""
     if kind == "orm":
@@ -38,24 +67,20 @@ def refs_of(materials: Sequence[Material], kind: str) -> list[TextureRef | None]
     return [getattr(m, kind) for m in materials]
 
 
-def image_sizes(character: Character) -> Floats:
-    """Width and height of the image that the first uvs of every face point into, (F, 2); ones where there is none."""
-    sizes = np.ones((len(character.materials), 2))
-    for kind in reversed(KINDS):
-        for index, ref in enumerate(refs_of(character.materials, kind)):
-            if ref is not None and ref.texcoord == 0:
-                sizes[index] = ref.image.texels.shape[1::-1]
-    return sizes[character.mesh.face_materials]
+def no_detail(num_faces: int) -> Detail:
+    """For a surface without textures."""
+    return Detail({}, np.ones((num_faces, 2)), {})
 
 
-def find_needs(character: Character) -> dict[str, Floats]:
-    """Texels a metre that every face needs, (F,) a kind of texture; 0 where it has none."""
+def find_detail(character: Character) -> Detail:
+    """Look at all of a character's textures."""
     mesh = character.mesh
     area_m2 = face_frames(mesh.surface.positions, mesh.surface.faces)[0]
+    real = area_m2 > 1e-9 * area_m2.mean()
     levels: dict[int, NDArray[np.uint8]] = {}
-    needs = {}
-    for kind in KINDS:
-        need = np.zeros(mesh.num_faces)
+    needs, sides, sizes = {}, {}, np.ones((mesh.num_faces, 2))
+    for kind in reversed(KINDS):
+        need, sides[kind] = np.zeros(mesh.num_faces), 0
         for index, ref in enumerate(refs_of(character.materials, kind)):
             faces = np.flatnonzero(mesh.face_materials == index)
             if ref is None or not len(faces) or ref.texcoord >= mesh.corner_texcoords.shape[2]:
@@ -63,14 +88,11 @@ def find_needs(character: Character) -> dict[str, Floats]:
             if id(ref.image) not in levels:
                 levels[id(ref.image)] = find_levels(ref.image.texels)
             need[faces] = _needed_lengths(mesh, faces, ref, levels[id(ref.image)])
-        density = need / np.sqrt(np.maximum(area_m2, 1e-300))
-        needs[kind] = np.where(area_m2 > 1e-9 * area_m2.mean(), density, 0.0)
-    return needs
-
-
-def largest_needs(needs: Mapping[str, Floats], num_faces: int) -> Floats:
-    """The finest of all kinds, (F,)."""
-    return np.max([np.zeros(num_faces), *needs.values()], axis=0)
+            sides[kind] = max(sides[kind], *ref.image.texels.shape[:2])
+            if ref.texcoord == 0:
+                sizes[faces] = ref.image.texels.shape[1::-1]
+        needs[kind] = np.where(real, need / np.sqrt(np.where(real, area_m2, 1.0)), 0.0)
+    return Detail(needs, sizes, sides)
 
 
 def _needed_lengths(

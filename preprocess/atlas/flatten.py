@@ -31,7 +31,7 @@ def local_triangles(positions: Floats, faces: Ints) -> Floats:
     along = ((c - a) * axis).sum(axis=1)
     height = np.linalg.norm(c - a - along[:, None] * axis, axis=1)
     longest = np.maximum(base, np.maximum(np.hypot(along, height), np.hypot(along - base, height)))
-    longest = np.maximum(longest, 1e-9 * max(float(longest.max(initial=0.0)), 1e-300))
+    longest = np.maximum(longest, 1e-9 * (float(longest.max(initial=0.0)) or 1.0))
     base = np.maximum(base, LEAST_HEIGHT_REL * longest)
     flat = np.zeros((len(faces), 3, 2))
     flat[:, 1, 0] = base
