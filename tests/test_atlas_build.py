@@ -49,7 +49,7 @@ def test_auto_keeps_sound_uvs_bit_by_bit_when_nothing_needs_straightening():
     atlas = build_atlas(mesh, straighten_rel=None)
     assert (atlas.mode, atlas.num_charts, atlas.overlap, atlas.resampled) == ("keep", 1, 0, False)
     assert atlas.mesh.surface.uvs.tobytes() == mesh.surface.uvs.tobytes()
-    assert atlas.coverage == pytest.approx(0.81)
+    assert atlas.coverage == pytest.approx(0.81, rel=1e-4)
     assert atlas.report == {} and atlas.kept_share == 1.0
     assert not atlas.made_seams.any()
 

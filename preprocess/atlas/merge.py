@@ -33,6 +33,10 @@ MOST_L2 = (1.02, 1.1)
 """And its mean (L2) stretch, at first and then. What unfolds without stretch comes first: a box is a cross, not two
 dented halves."""
 
+POINTED = 0.35
+"""Radians that the angles around a vertex may differ from a full turn by, for borders to run on across it while charts
+are still joined without stretch: at a box's corner two sides can be joined to a third, along one edge each."""
+
 LEAST_SHARE = 0.15
 """Of the outline of one of the two charts that a border has to be: charts that hang by a thread pack badly."""
 
@@ -83,11 +87,13 @@ def merge_charts(
     flat = local_triangles(positions, faces)
     ends = positions[edges.vertices]
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    pointed = np.abs(_angle_sums(flat, faces, len(positions)) - 2.0 * np.pi) > POINTED
     closed = barred | ~edges.glued  # to joining: also what has been tried in vain
     most_l2 = list(MOST_L2)
     for _ in range(MOST_ROUNDS):
         num_charts, face_charts = label_faces(edges, cut)
-        joins = _choose_joins(edges, cut & ~closed, cut, lengths, face_charts, num_charts, corner_uvs)
+        breaks = pointed if len(most_l2) > 1 else np.zeros_like(pointed)
+        joins = _choose_joins(edges, cut & ~closed, cut, lengths, breaks, face_charts, num_charts, corner_uvs)
         if not len(joins.charts):
             del most_l2[0]
             if not most_l2:
@@ -116,6 +122,7 @@ def _choose_joins(
     candidates: Bools,
     cut: Bools,
     lengths: Floats,
+    breaks: Bools,
     face_charts: Ints,
     num_charts: int,
     corner_uvs: Floats,
@@ -129,7 +136,7 @@ def _choose_joins(
     rows = np.concatenate([rows[~within], rows[within][_are_narrow(edges, rows[within], lengths, corner_uvs)]])
     if not len(rows):
         return _Joins(np.zeros((0, 2), np.int64), rows, rows)
-    paths = _connected_paths(edges.vertices[rows], charts[rows, 0] * num_charts + charts[rows, 1])
+    paths = _connected_paths(edges.vertices[rows], charts[rows, 0] * num_charts + charts[rows, 1], breaks)
     pairs = charts[rows[np.unique(paths, return_index=True)[1]]]
     share = np.bincount(paths, lengths[rows]) / outline[pairs].min(axis=1)
     order = np.argsort(-share, kind="stable")
@@ -145,6 +152,14 @@ def _choose_joins(
     return _Joins(pairs[chosen], rows[kept], number[paths][kept])
 
 
+def _angle_sums(flat: Floats, faces: Ints, num_vertices: int) -> Floats:
+    """Sum of the angles of all faces at each vertex, (V,)."""
+    after, before = np.roll(flat, -1, axis=1) - flat, np.roll(flat, 1, axis=1) - flat
+    cosine = (after * before).sum(axis=2)
+    sine = after[..., 0] * before[..., 1] - after[..., 1] * before[..., 0]
+    return np.bincount(faces.ravel(), np.arctan2(sine, cosine).ravel(), num_vertices)
+
+
 def _are_narrow(edges: MeshEdges, rows: NDArray[np.int64], lengths: Floats, corner_uvs: Floats) -> Bools:
     """Whether the two sides of edges lie nearly on one another."""
     flat = corner_uvs.reshape(-1, 2)
@@ -155,15 +170,14 @@ def _are_narrow(edges: MeshEdges, rows: NDArray[np.int64], lengths: Floats, corn
     return gap <= NARROW_REL * lengths[rows]
 
 
-def _connected_paths(vertices: Ints, keys: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Edges (N, 2) joined at vertices where their keys (N,) are equal, numbered, (N,)."""
+def _connected_paths(vertices: Ints, keys: NDArray[np.int64], breaks: Bools) -> NDArray[np.int64]:
+    """Edges (N, 2) joined at vertices, but for breaks (V,), where their keys (N,) are equal, numbered, (N,)."""
     num = len(vertices)
-    stride = int(vertices.max()) + 1
-    _, nodes = np.unique(keys[:, None] * stride + vertices, return_inverse=True)
+    _, nodes = np.unique(keys[:, None] * len(breaks) + vertices, return_inverse=True)
     nodes = nodes.reshape(-1, 2)
     size = num + int(nodes.max()) + 1
-    rows = np.repeat(np.arange(num), 2)
-    graph = sp.coo_array((np.ones(2 * num, np.int8), (rows, num + nodes.ravel())), (size, size))
+    rows, ends = np.nonzero(~breaks[vertices])
+    graph = sp.coo_array((np.ones(len(rows), np.int8), (rows, num + nodes[rows, ends])), (size, size))
     return np.unique(connected_components(graph, directed=False)[1][:num], return_inverse=True)[1].reshape(-1)
 
 
