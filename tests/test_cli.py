@@ -17,7 +17,7 @@ from builders_gltf import bent_bar
 from conftest import ROOT, asset
 
 from preprocess import cli
-from runtime.asset.asset import SCHEMA
+from runtime.asset.manifest import SCHEMA
 from runtime.gltf.document import read_document
 
 

@@ -38,13 +38,13 @@ def test_what_is_read_is_what_was_written(folder: Path) -> None:
     assert (asset.name, asset.num_joints, len(asset.lods), len(asset.clips)) == ("ball", 4, 2, 1)
     assert asset.textures["normal"].size == (32, 32) and len(asset.textures["normal"].levels) == 3
     assert asset.textures["base_color"].levels[1].dtype == np.uint8
-    uvs, owner_uvs, triangles, _ = lod_mesh(6)
+    uvs, canonical_uvs, triangles, _ = lod_mesh(6)
     mesh = asset.lods[0]
     assert len(mesh.triangles) == len(triangles) and len(mesh.uvs) == len(uvs)
-    read = np.concatenate([mesh.uvs[mesh.triangles], mesh.owner_uvs[mesh.triangles]], axis=2).reshape(-1, 12)
-    written = np.concatenate([uvs[triangles], owner_uvs[triangles]], axis=2).reshape(-1, 12).astype(np.float32)
+    read = np.concatenate([mesh.uvs[mesh.triangles], mesh.canonical_uvs[mesh.triangles]], axis=2).reshape(-1, 12)
+    written = np.concatenate([uvs[triangles], canonical_uvs[triangles]], axis=2).reshape(-1, 12).astype(np.float32)
     assert (np.unique(read, axis=0) == np.unique(written, axis=0)).all()  # drawn in another order
-    assert len(np.unique(mesh.owner_uvs, axis=0)) == 6 * 6 * 6 + 2  # points of a cube's grid
+    assert len(np.unique(mesh.canonical_uvs, axis=0)) == 6 * 6 * 6 + 2  # points of a cube's grid
 
 
 @pytest.mark.parametrize(
@@ -52,25 +52,36 @@ def test_what_is_read_is_what_was_written(folder: Path) -> None:
     [
         (lambda m: m.update(schema=99), r"schema 99.*upgrade"),
         (lambda m: m.pop("schema"), "names no schema"),
-        (lambda m: m.pop("textures"), "no textures"),
-        (lambda m: m["textures"].pop("position"), "lists no position texture"),
-        (lambda m: m["textures"]["normal"].update(size=[3, 3]), r"texture normal.*is 32 x 32, not 3 x 3"),
+        (lambda m: m.pop("textures"), "required field `textures`"),
+        (lambda m: m["textures"].pop("position"), "textures: .*required field `position`"),
+        (lambda m: m["textures"]["normal"].update(size=[3, 3]), r"textures.normal has 3 levels of 3 texels"),
         (lambda m: m["textures"]["normal"].update(size=7), r"textures.normal.size"),
         (lambda m: m["textures"]["normal"].update(format="jpeg"), r"textures.normal.format"),
-        (lambda m: m["textures"]["weights"].pop("slots"), r"textures.weights.slots"),
+        (lambda m: m["textures"]["weights"].pop("slots"), r"textures.weights: .*required field `slots`"),
         (lambda m: m["joints"].append("extra"), "bounds.joints has 4 entries for 5 joints"),
-        (lambda m: m["bounds"].update(bind=[[0, 0], [1, 1]]), "bounds.bind is not a box"),
+        (lambda m: m["bounds"].update(bind=[[0, 0], [1, 1]]), r"bounds.bind\[0\]: Expected `array`"),
         (lambda m: m["bounds"].update(joints=None) or m["joints"].append("extra"), "of different builds"),
-        (lambda m: m["lods"][1].update(node="nobody"), "no mesh node nobody"),
-        (lambda m: m["lods"][1].update(error_m=float("nan")), r"lods\[1\].error_m"),
-        (lambda m: m["lods"][1].update(error_m=None), r"lods\[1\].error_m is None"),
+        (lambda m: m["lods"][1].update(node="nobody"), "no mesh node 'nobody'"),
+        (lambda m: m["lods"][1].update(error_m=float("nan")), "not JSON"),
+        (lambda m: m["textures"]["normal"].update(size=[30, 32]), r"texture normal.*is 32 x 32, not 30 x 32"),
+        (lambda m: m["textures"]["normal"].update(format="uint8"), "holds uint16, not uint8"),
+        (lambda m: m["textures"]["normal"].update(file="../normal.png"), "outside of"),
+        (lambda m: m["textures"]["normal"].update(file="/dev/zero"), "outside of"),
+        (lambda m: m["textures"]["normal"].update(file="mips"), "not a regular file"),
+        (lambda m: m.update(model="../ball.seamless/../../x/model.glb"), "outside of"),
+        (lambda m: m["bounds"].update(bind=[[1, 1, 1], [0, 0, 0]]), "not a box"),
+        (lambda m: m["clips"][0].update(name="jump"), "the clips of manifest.json"),
+        (lambda m: m["clips"][0].update(duration_s=2.0), "the clips of manifest.json"),
+        (lambda m: m["bounds"]["clips"].clear(), "the bounds.clips of manifest.json"),
+        (lambda m: m["lods"][1].update(faces=3), "has 108 faces, the manifest says 3"),
+        (lambda m: m["lods"][1].update(error_m=None), r"lods\[1\].error_m: Expected `float`"),
     ],
 )
 def test_a_bad_manifest_is_refused(folder: Path, change: Callable[[dict[str, Any]], object], message: str) -> None:
     edit(folder, change)
     with pytest.raises(AssetError, match=message) as caught:
         load(folder)
-    assert "\n" not in str(caught.value)
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 300
 
 
 @pytest.mark.parametrize("name", ["position.exr", "normal.png", "weights.png", "base_color.png", "mips/normal.1.png"])
@@ -89,6 +100,21 @@ def test_positions_that_are_not_finite_are_refused(folder: Path) -> None:
     texels[3, 4, 1] = np.nan
     write_image(folder / "position.exr", Image(texels, "float"))
     with pytest.raises(AssetError, match="texture position holds values that are not finite"):
+        load(folder)
+
+
+def test_joints_that_do_not_exist_are_refused(folder: Path) -> None:
+    texels = read_image(folder / "weights.png").texels.copy()
+    texels[0, 0, 0] = 4 / 255
+    write_image(folder / "weights.png", Image(texels, "uint8"))
+    with pytest.raises(AssetError, match="names joint 4 of 4"):
+        load(folder)
+
+
+def test_links_out_of_the_folder_are_not_followed(folder: Path, tmp_path: Path) -> None:
+    (folder / "normal.png").rename(tmp_path / "normal.png")
+    (folder / "normal.png").symlink_to(tmp_path / "normal.png")
+    with pytest.raises(AssetError, match="outside of"):
         load(folder)
 
 

@@ -14,18 +14,23 @@ import numpy as np
 from preprocess.arrays import Floats
 from preprocess.atlas import Atlas
 from preprocess.decimate import Chain, Lod
-from preprocess.export.glb import write_model_glb
+from preprocess.export.glb import build_levels, write_model_glb
+from preprocess.export.ktx2 import write_ktx2
+from preprocess.export.lod_vertices import LodMesh
+from preprocess.export.tangent_normals import atlas_tangents, bake_tangent_normals, has_relief
 from preprocess.files.images import Image, write_image
 from preprocess.files.output_folder import MANIFEST
 from preprocess.fit.textures import StoredTexture
 from preprocess.load import Character
 from preprocess.settings import Settings
 from runtime.animation.bounds import clip_bounds, joint_boxes
-from runtime.asset.asset import SCHEMA
+from runtime.asset.manifest import SCHEMA
 from runtime.asset.weight_quadtree import WeightDetails, pack_details
 
 MODEL = "model.glb"
+SRGB = ("base_color", "emissive")  # textures whose stored values are sRGB-encoded
 DETAILS = "weight_details.png"
+RELIEF = "tangent_normal.png"  # what model.glb has for the normal texture; the runtime reads the latter
 BOUNDS_MARGIN_REL = 0.005  # of the diagonal: points between vertices follow the position texture, not the faces
 
 
@@ -79,12 +84,19 @@ def write_folder(
     lods = chain.lods
     rows = tuple(_row(f"{character.name}_LOD{i}", lod) for i, lod in enumerate(lods))
     entries = {texture.name: _write_texture(folder, texture) for texture in textures}
-    options: dict[str, Any] = {"influences": settings.influences}
-    write_model_glb(folder / MODEL, character, atlas.mesh, lods, entries, normal_uvs=normal_uvs, **options)
+    if settings.ktx2:
+        _write_ktx2(folder, textures)
+    relief = has_relief(character.materials)
+    tangents = atlas_tangents(atlas.mesh) if relief else None
+    levels = build_levels(character, atlas.mesh, lods, settings.influences, normal_uvs, tangents)
+    in_model = dict(entries)
+    if relief:
+        in_model["tangent_normal"] = _write_relief(folder, levels[0], textures)
+    write_model_glb(folder / MODEL, character, atlas.mesh, lods, in_model, settings.influences, levels=levels)
     files = [f"model_LOD{i}.glb" for i in range(len(lods))] if settings.separate_lods else []
-    for file, row, lod, uvs in zip(files, rows, lods, normal_uvs):
-        one = {"names": [row.node], "normal_uvs": [uvs], **options}
-        write_model_glb(folder / file, character, atlas.mesh, [lod], entries, **one)
+    for file, row, lod, level in zip(files, rows, lods, levels):
+        one: dict[str, Any] = {"names": [row.node], "levels": [level]}
+        write_model_glb(folder / file, character, atlas.mesh, [lod], in_model, settings.influences, **one)
     manifest = {
         "schema": SCHEMA,
         "name": character.name,
@@ -118,6 +130,13 @@ def write_folder(
     text = json.dumps(_finite(manifest), indent=1, ensure_ascii=False)
     (folder / MANIFEST).write_text(text + "\n", encoding="utf-8")
     return rows
+
+
+def _write_relief(folder: Path, finest: LodMesh, textures: Sequence[StoredTexture]) -> dict[str, Any]:
+    """Write the tangent-space normal map of model.glb; its entry, as `write_model_glb` wants it."""
+    normals = next(texture.levels[0] for texture in textures if texture.name == "normal")
+    write_image(folder / RELIEF, Image(bake_tangent_normals(finest, np.asarray(normals, np.float64)), "uint8"))
+    return {"file": RELIEF, **({"uvs": "normal"} if finest.normal_uvs is not None else {})}
 
 
 def hash_file(path: Path) -> str:
@@ -159,6 +178,14 @@ def _write_texture(folder: Path, texture: StoredTexture) -> dict[str, Any]:
         "seam": texture.seam,
         **extra,
     }
+
+
+def _write_ktx2(folder: Path, textures: Sequence[StoredTexture]) -> None:
+    """Every texture but the joint weights, whose layout is the runtime's own, with its mip levels in one file."""
+    (folder / "ktx2").mkdir()
+    for texture in textures:
+        if texture.name != "weights":
+            write_ktx2(folder / "ktx2" / f"{texture.name}.ktx2", texture.levels, texture.format, texture.name in SRGB)
 
 
 def _write_details(folder: Path, details: WeightDetails, form: str) -> dict[str, Any]:

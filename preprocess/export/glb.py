@@ -190,8 +190,10 @@ def _describe_mesh(
         "POSITION": buffer.accessor(level.positions, ARRAY_BUFFER, bounds=True),
         "NORMAL": buffer.accessor(level.normals, ARRAY_BUFFER),
         "TEXCOORD_0": _uv_accessor(level.uvs, buffer),
-        "_OWNER_UV": _uv_accessor(level.owner_uvs, buffer),
+        "_OWNER_UV": _uv_accessor(level.canonical_uvs, buffer),
     }
+    if level.tangents is not None:
+        attributes["TANGENT"] = buffer.accessor(level.tangents, ARRAY_BUFFER)
     if level.normal_uvs is not None:
         attributes["TEXCOORD_1"] = buffer.accessor(level.normal_uvs, ARRAY_BUFFER, normalized=True)
     elif second_uvs:
@@ -226,6 +228,31 @@ def screen_coverage(lods: Sequence[Lod], diagonal_m: float) -> list[float]:
     return [*shares.tolist(), 0.0]
 
 
+def build_levels(
+    character: Character,
+    mesh: SkinnedMesh,
+    lods: Sequence[Lod],
+    influences: int = 4,
+    normal_uvs: Sequence[Floats | None] | None = None,
+    tangents: Floats | None = None,
+) -> list[LodMesh]:
+    """The levels as vertex attributes. See `write_model_glb`; `tangents` (F, 3, 4) are of the full mesh's corners."""
+    return [
+        build_lod_mesh(
+            mesh,
+            character.skeleton.num_joints,
+            lod.surface,
+            lod.canonical_uvs,
+            lod.face_source,
+            influences,
+            own_uvs,
+            lod.fetch_uvs,
+            tangents,
+        )
+        for lod, own_uvs in zip(lods, normal_uvs or [None] * len(lods))
+    ]
+
+
 def describe_model(
     character: Character,
     mesh: SkinnedMesh,
@@ -234,6 +261,7 @@ def describe_model(
     influences: int = 4,
     names: Sequence[str] | None = None,
     normal_uvs: Sequence[Floats | None] | None = None,
+    levels: Sequence[LodMesh] | None = None,
 ) -> tuple[dict[str, Any], bytes]:
     """The glTF of a built character, as JSON and binary chunk. See `write_model_glb`."""
     if influences not in (4, 8):
@@ -250,10 +278,8 @@ def describe_model(
     meshes: list[dict[str, Any]] = []
     first = len(nodes)
     second_uvs = any(uv_set(entry) for entry in textures.values())
-    for name, lod, own_uvs in zip(names, lods, normal_uvs or [None] * len(lods)):
-        level = build_lod_mesh(
-            mesh, skeleton.num_joints, lod.surface, lod.owner_uvs, lod.face_source, influences, own_uvs, lod.fetch_uvs
-        )
+    levels = levels or build_levels(character, mesh, lods, influences, normal_uvs)
+    for name, lod, level in zip(names, lods, levels):
         face_draws = draw_of_material[mesh.face_materials[lod.face_source]]
         nodes.append({"name": name, "mesh": len(meshes), "skin": 0})
         meshes.append(_describe_mesh(name, level, face_draws, buffer, second_uvs))
@@ -309,6 +335,8 @@ def _as_document(model: dict[str, Any]) -> GLTF2:
         changed: dict[str, Any] = {"pbrMetallicRoughness": gltf.PbrMetallicRoughness(**pbr)}
         if "emissiveTexture" in spec:
             changed["emissiveTexture"] = gltf.TextureInfo(**spec["emissiveTexture"])
+        if "normalTexture" in spec:
+            changed["normalTexture"] = gltf.NormalMaterialTexture(**spec["normalTexture"])
         if "occlusionTexture" in spec:
             changed["occlusionTexture"] = gltf.OcclusionTextureInfo(**spec["occlusionTexture"])
         return gltf.Material(**{**spec, **changed})
@@ -344,6 +372,7 @@ def write_model_glb(
     influences: int = 4,
     names: Sequence[str] | None = None,
     normal_uvs: Sequence[Floats | None] | None = None,
+    levels: Sequence[LodMesh] | None = None,
 ) -> None:
     """Write model.glb.
 
@@ -358,21 +387,23 @@ def write_model_glb(
     lods : sequence of Lod
         The finest first. One of them alone makes a file of one level.
     textures : mapping of texture name to its manifest entry
-        `file` is the uri; `copied` says that the source's factors are not in it. Only "base_color", "orm" and
-        "emissive" are referred to.
+        `file` is the uri; `copied` says that the source's factors are not in it. Only "base_color", "orm", "emissive"
+        and "tangent_normal" are referred to.
     influences : 4 or 8
         Joints a vertex. Dropped weight goes to the others.
     names : sequence of str, optional
         Node names of the levels; NAME_LOD0, NAME_LOD1 ... by default.
     normal_uvs : sequence of (F, 3, 2) float64 or None, optional
         Where each level's corners sample the normal texture, if not at its uvs.
+    levels : sequence of LodMesh, optional
+        What `build_levels` made of the same, where it is at hand.
 
     Raises
     ------
     ValueError
         If there is no level or `influences` is neither 4 nor 8.
     """
-    model, data = describe_model(character, mesh, lods, textures, influences, names, normal_uvs)
+    model, data = describe_model(character, mesh, lods, textures, influences, names, normal_uvs, levels)
     document = _as_document(model)
     document.set_binary_blob(data)
     document.save_binary(str(path))

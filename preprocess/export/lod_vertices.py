@@ -19,6 +19,7 @@ from preprocess.mesh.grouping import expand_ranges, group_rows
 from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
 from preprocess.mesh.texels import UV_STEPS
 
+SAME_TANGENT = 2e-2  # tangents likewise: a degree, of a direction in the surface
 SAME_NORMAL = 1e-3  # normals of one point that differ less, a component, are one vertex
 
 
@@ -29,27 +30,39 @@ class LodMesh:
     Attributes
     ----------
     positions, normals : (N, 3) float32
-    uvs, owner_uvs : (N, 2) float32
+    uvs, canonical_uvs : (N, 2) float32
     normal_uvs : (N, 2) uint16 or None
         Where the normal texture is sampled, as whole steps; None where that is at `uvs`.
     joints : (N, K) uint8 or uint16
     weights : (N, K) float32
         Heaviest first, rows sum to one.
     faces : (F, 3) int64
+    tangents : (N, 4) float32 or None
+        With handedness, for a tangent-space normal map.
     """
 
     positions: NDArray[np.float32]
     normals: NDArray[np.float32]
     uvs: NDArray[np.float32]
-    owner_uvs: NDArray[np.float32]
+    canonical_uvs: NDArray[np.float32]
     normal_uvs: NDArray[np.uint16] | None
     joints: NDArray[np.unsignedinteger]
     weights: NDArray[np.float32]
     faces: Indices
+    tangents: NDArray[np.float32] | None = None
 
 
-def _corner_normals(mesh: SkinnedMesh, level: TexturedSurface, places: Places, corner_points: Indices) -> Floats:
-    """The full mesh's normal at each corner of the level, on the side that the level's face is on, (F, 3, 3)."""
+def _corner_normals(
+    mesh: SkinnedMesh, level: TexturedSurface, places: Places, corner_points: Indices
+) -> tuple[Floats, Indices]:
+    """The full mesh's normal at each corner of the level, on the side that the level's face is on.
+
+    Returns
+    -------
+    normals : (F, 3, 3) float64
+    rows : (3 F,) int64
+        The row of `places` that each corner's normal is from.
+    """
     own = np.repeat(face_normals(level.positions, level.faces.astype(np.int64)), 3, axis=0)
     points = corner_points.reshape(-1)
     counts = np.diff(np.r_[places.firsts, len(places.points)])[points]
@@ -62,7 +75,19 @@ def _corner_normals(mesh: SkinnedMesh, level: TexturedSurface, places: Places, c
     chosen = normals[best[first]]
     unusable = np.linalg.norm(chosen, axis=1) < 0.5
     chosen[unusable] = own[unusable]
-    return chosen.reshape(-1, 3, 3)
+    return chosen.reshape(-1, 3, 3), row[best[first]]
+
+
+def _corner_tangents(places: Places, rows: Indices, tangents: Floats, normals: Floats) -> Floats:
+    """The full mesh's tangents (F, 3, 4) where corners have their normals (N, 3) from, across these, (N, 4)."""
+    faces, weights = places.faces[rows], places.barycentrics[rows]
+    along = np.einsum("nk,nkc->nc", weights, tangents[faces, :, :3])
+    along -= np.einsum("nc,nc->n", along, normals)[:, None] * normals
+    lengths = np.linalg.norm(along, axis=1)
+    lost = lengths < 1e-6  # opposite tangents cancel: any direction across the normal is as good
+    along[lost] = np.cross(normals[lost], np.eye(3)[np.argmin(np.abs(normals[lost]), axis=1)])
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return np.concatenate([along, tangents[faces, 0, 3:]], axis=1)
 
 
 def _vertex_weights(mesh: SkinnedMesh, num_joints: int, places: Places, rows: Indices) -> Floats:
@@ -104,11 +129,12 @@ def build_lod_mesh(
     mesh: SkinnedMesh,
     num_joints: int,
     level: TexturedSurface,
-    owner_uvs: NDArray[np.integer],
+    canonical_uvs: NDArray[np.integer],
     face_source: NDArray[np.integer],
     num_influences: int,
     normal_uvs: Floats | None = None,
     fetch_uvs: Floats | None = None,
+    tangents: Floats | None = None,
 ) -> LodMesh:
     """Turn a level into vertex attributes.
 
@@ -119,7 +145,7 @@ def build_lod_mesh(
     num_joints : int
     level : TexturedSurface
         Its uvs lie in the same atlas.
-    owner_uvs : (V,) int
+    canonical_uvs : (V,) int
         The texture vertex that owns each surface vertex of the level.
     face_source : (F,) int
         A face of the full mesh that each face stems from.
@@ -128,13 +154,15 @@ def build_lod_mesh(
     normal_uvs : (F, 3, 2) float64, optional
         Where the level's corners sample the normal texture, if not at its uvs.
     fetch_uvs : (V, 2) float64, optional
-        Where each surface vertex fetches its geometry, if not at its owner's uv.
+        Where each surface vertex fetches its geometry, if not at its canonical uv.
+    tangents : (F', 3, 4) float64, optional
+        Of the full mesh's corners.
     """
     places, corner_points, point_corners = locate_corners(mesh.surface, level, face_source)
-    normals = _corner_normals(mesh, level, places, corner_points)
-    # The weights of a surface vertex are those at its owner's place; one that owns no corner takes its first.
+    normals, rows = _corner_normals(mesh, level, places, corner_points)
+    # The weights of a surface vertex are those at its canonical uv; one that has no corner takes its first.
     point_vertex = level.faces.reshape(-1)[point_corners]
-    owns = level.face_uvs.reshape(-1)[point_corners] == owner_uvs[point_vertex]
+    owns = level.face_uvs.reshape(-1)[point_corners] == canonical_uvs[point_vertex]
     order = np.lexsort((np.arange(len(owns)), ~owns, point_vertex))
     point_of_vertex = np.zeros(len(level.positions), np.int64)
     point_of_vertex[point_vertex[order[::-1]]] = order[::-1]
@@ -149,16 +177,21 @@ def build_lod_mesh(
     if normal_uvs is not None:
         stored = np.rint(normal_uvs.reshape(-1, 2) * UV_STEPS).astype(np.uint16)
         columns += list(stored.T)
+    across = None
+    if tangents is not None:
+        across = _corner_tangents(places, rows, tangents, flat)
+        columns += list(np.rint(across / SAME_TANGENT).astype(np.int64).T)
     index, corners = group_rows(*columns)
     surface_vertex = vertices[corners]
-    geometry_uvs = level.uvs[owner_uvs] if fetch_uvs is None else fetch_uvs
+    geometry_uvs = level.uvs[canonical_uvs] if fetch_uvs is None else fetch_uvs
     return LodMesh(
         positions=level.positions[surface_vertex].astype(np.float32),
         normals=flat[corners].astype(np.float32),
         uvs=level.uvs[texture_vertices[corners]].astype(np.float32),
-        owner_uvs=geometry_uvs[surface_vertex].astype(np.float32),
+        canonical_uvs=geometry_uvs[surface_vertex].astype(np.float32),
         normal_uvs=None if stored is None else stored[corners],
         joints=joints[surface_vertex].astype(np.uint8 if num_joints <= 256 else np.uint16),
         weights=weights[surface_vertex].astype(np.float32),
         faces=index.reshape(-1, 3),
+        tangents=None if across is None else across[corners].astype(np.float32),
     )

@@ -14,7 +14,8 @@ from preprocess.load.character import Material
 
 ALPHA_ORDER = ("OPAQUE", "MASK", "BLEND")
 CLAMP_TO_EDGE, LINEAR, LINEAR_MIPMAP_LINEAR = 33071, 9729, 9987
-COLOR_TEXTURES = ("base_color", "orm", "emissive")  # the normal texture is in object space, which glTF does not know
+# Those that glTF knows; "tangent_normal" stands for the object-space normals, which it does not.
+MODEL_TEXTURES = ("base_color", "orm", "emissive", "tangent_normal")
 
 
 def _is_baked(textures: Mapping[str, Mapping[str, Any]], name: str) -> bool:
@@ -63,6 +64,8 @@ def describe_material(material: Material, textures: Mapping[str, Mapping[str, An
         spec["occlusionTexture"] = {**texture("orm"), "strength": occlusion_strength}
     if "emissive" in index:
         spec["emissiveTexture"] = texture("emissive")
+    if "tangent_normal" in index:
+        spec["normalTexture"] = texture("tangent_normal")
     strength = max(1.0, float(emissive.max()))
     spec["emissiveFactor"] = (emissive / strength).tolist()
     extensions: dict[str, Any] = {}
@@ -80,8 +83,8 @@ def describe_material(material: Material, textures: Mapping[str, Mapping[str, An
 
 
 def texture_indices(textures: Mapping[str, Mapping[str, Any]]) -> dict[str, int]:
-    """Index of each colour texture among the file's textures."""
-    return {name: index for index, name in enumerate(n for n in COLOR_TEXTURES if n in textures)}
+    """Index of each texture that the model refers to among the file's textures."""
+    return {name: index for index, name in enumerate(n for n in MODEL_TEXTURES if n in textures)}
 
 
 def describe_textures(textures: Mapping[str, Mapping[str, Any]]) -> dict[str, list[dict[str, Any]]]:

@@ -5,6 +5,7 @@ Everything that changes what the file says is counted in the character's warning
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import logging
 from pathlib import Path
@@ -58,10 +59,26 @@ def _dropped_channels(document: Document, clips: tuple[Clip, ...]) -> list[str]:
     return [f"{channels - kept} animation channels dropped: they move no joint"] if kept < channels else []
 
 
+def _distinct_clips(clips: tuple[Clip, ...], warnings: list[str]) -> tuple[Clip, ...]:
+    """Clips that move a joint, each with a name of its own: what glTF can hold, and what names can tell apart."""
+    kept: dict[str, Clip] = {}
+    for clip in clips:
+        if not clip.tracks:
+            warnings.append(f"clip {clip.name!r} left out: it moves no joint")
+            continue
+        name, number = clip.name, 2
+        while name in kept:
+            name, number = f"{clip.name} ({number})", number + 1
+        if name != clip.name:
+            warnings.append(f"another clip is called {clip.name!r}: this one is now {name!r}")
+        kept[name] = dataclasses.replace(clip, name=name)
+    return tuple(kept.values())
+
+
 def _load(document: Document) -> Character:
     document.require_extensions(SUPPORTED_EXTENSIONS)
     scene = read_scene(document)
-    warnings = list(scene.warnings)
+    warnings = [*document.notes, *scene.warnings]
     if all(part.skin is None for part in scene.parts):
         warnings.append("the file has no skin: its parts move with their nodes")
     used = list(dict.fromkeys(part.source.material for part in scene.parts))
@@ -77,8 +94,9 @@ def _load(document: Document) -> Character:
     clips = read_clips(document, skeleton, faults=faults)
     warnings += [fault.replace(f"{document.path}: ", "") for fault in faults]
     warnings += _dropped_channels(document, clips)
+    clips = _distinct_clips(clips, warnings)
     return Character(
-        name=document.path.stem,
+        name=document.path.stem.encode("utf-8", "replace").decode(),
         source=document.path,
         source_hash=hashlib.sha256(document.path.read_bytes()).hexdigest(),
         mesh=mesh,

@@ -1,13 +1,12 @@
 """A built character's folder, read into arrays: manifest, textures, LOD meshes, skeleton and clips (no GL here).
 
-The folder is described in docs/format.md. `SCHEMA` is the version this program writes and the newest that it reads.
+The folder is described in docs/format.md.
 Everything is checked as it is read, so that a damaged folder is refused here, by name, and not found out in a picture.
 Letters in shapes: L mip levels, C channels, N vertices, F faces.
 """
 
 from __future__ import annotations
 
-import json
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from os import PathLike
@@ -15,12 +14,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from msgspec import UnsetType
 from numpy.typing import NDArray
 
 from runtime.asset.lod_mesh import LodMesh, read_lods
+from runtime.asset.manifest import FURTHEST_M, MANIFEST, Manifest, read_manifest
+from runtime.asset.packed_positions import read_words
 from runtime.asset.weight_quadtree import WeightDetails, build_quadtree, details_size, no_details, unpack_details
 from runtime.errors import REBUILD, AssetError
 from runtime.gltf.document import Document, read_document
+from runtime.gltf.local_files import find_local_file
 from runtime.gltf.png_check import find_png_fault
 from runtime.validation import shown
 
@@ -28,12 +31,16 @@ if TYPE_CHECKING:
     from runtime.animation.clip import Clip
     from runtime.animation.skeleton import Skeleton
 
-SCHEMA = 2  # 2: weights may have details
-GEOMETRY_TEXTURES = ("position", "normal", "weights")
-COLOR_TEXTURES = ("base_color", "orm", "emissive")
+ALPHA_MODES = ("OPAQUE", "MASK", "BLEND")
+# Channels that each texture must have at least; none has more than four.
+LEAST_CHANNELS = {"position": 3, "normal": 3, "weights": 4, "base_color": 3, "orm": 3, "emissive": 3}
+MOST_CHANNELS = 4
+WEIGHT_STEPS = 255
+LARGEST_FACTOR = 1e9  # of materials, either sign
+WORD_SLACK = 0.01  # of a step, besides the rounding of 32-bit floats
+DURATION_SLACK_S = 1e-3  # keys are stored in 32 bits
 
 _DTYPES = {"uint8": np.uint8, "uint16": np.uint16, "half": np.float16, "float": np.float32}
-_READER_TYPES = {"uint8": "uint8", "uint16": "uint16", "half": "half", "float": "float"}
 
 
 @dataclass(frozen=True)
@@ -77,19 +84,6 @@ class MaterialData:
     unlit: bool = False
 
 
-@dataclass(frozen=True)
-class Manifest:
-    """The parts of manifest.json that the runtime uses, checked; everything else stays in `json`."""
-
-    name: str
-    schema: int
-    joints: tuple[str, ...]
-    bind_bounds: NDArray[np.float64]
-    joint_bounds: tuple[NDArray[np.float64] | None, ...]
-    clip_bounds: dict[str, NDArray[np.float64]]
-    json: dict[str, Any] = field(repr=False)
-
-
 @dataclass(frozen=True, repr=False)
 class Asset:
     """A built character in memory."""
@@ -127,7 +121,8 @@ class Asset:
     @property
     def colors_moved(self) -> bool:
         """Whether colour textures are sampled at normal uvs, where there are any."""
-        return bool(self.manifest.json["textures"].get("base_color", {}).get("uvs") == "normal")
+        entry = self.manifest.entry.textures.base_color
+        return not isinstance(entry, UnsetType) and entry.uvs == "normal"
 
     @property
     def num_joints(self) -> int:
@@ -140,71 +135,10 @@ class Asset:
         return self.manifest.joint_bounds
 
 
-def _box(value: Any, where: str) -> NDArray[np.float64]:
-    try:
-        box = np.asarray(value, np.float64)
-    except (TypeError, ValueError):
-        box = np.zeros(0)
-    if box.shape != (2, 3) or not np.isfinite(box).all() or (box[0] > box[1]).any():
-        raise AssetError(f"{where} is not a box of two points: {REBUILD}")
-    return box
-
-
-def read_manifest(folder: Path) -> Manifest:
-    """Read and check manifest.json.
-
-    Raises
-    ------
-    AssetError
-        If the folder or the file is missing or malformed, or of a newer schema.
-    """
-    path = folder / "manifest.json"
-    if folder.is_file():
-        raise AssetError(f"{folder} is a file, not a built character: load the folder that python -m preprocess made")
-    if not folder.is_dir():
-        raise AssetError(f"no such folder: {folder}: {REBUILD}, or check the path")
-    if not path.is_file():
-        raise AssetError(f"{folder} has no manifest.json: it is not a built character; {REBUILD}")
-    try:
-        data = json.loads(path.read_bytes())
-    except (ValueError, UnicodeDecodeError) as error:
-        raise AssetError(f"{path} is not JSON ({error}): {REBUILD}") from None
-    schema = data.get("schema") if isinstance(data, dict) else None
-    if not isinstance(schema, int) or schema < 1:
-        raise AssetError(f"{path} names no schema: {REBUILD}")
-    if schema > SCHEMA:
-        raise AssetError(f"{path} has schema {schema}, this seamskin reads up to {SCHEMA}: upgrade seamskin")
-    for key, kind in (("textures", dict), ("lods", list), ("joints", list)):
-        if not isinstance(data.get(key), kind) or not data[key]:
-            raise AssetError(f"{path} has no {key}: {REBUILD}")
-    bounds = data.get("bounds")
-    if not isinstance(bounds, dict):
-        raise AssetError(f"{path} has no bounds: {REBUILD}")
-    joints = tuple(str(name) for name in data["joints"])
-    boxes = bounds.get("joints") or [None] * len(joints)
-    if len(boxes) != len(joints):
-        raise AssetError(f"{path}: bounds.joints has {len(boxes)} entries for {len(joints)} joints: {REBUILD}")
-    return Manifest(
-        name=str(data.get("name") or folder.stem),
-        schema=schema,
-        joints=joints,
-        bind_bounds=_box(bounds.get("bind"), f"{path}: bounds.bind"),
-        joint_bounds=tuple(
-            None if box is None else _box(box, f"{path}: bounds.joints[{i}]") for i, box in enumerate(boxes)
-        ),
-        clip_bounds={
-            str(name): _box(box, f"{path}: bounds.clips[{name}]") for name, box in (bounds.get("clips") or {}).items()
-        },
-        json=data,
-    )
-
-
 def _read_texels(path: Path, what: str, dtype: str, size: tuple[int, int]) -> NDArray[Any]:
     """Decode one image file in its stored type, (H, W, C)."""
     import OpenImageIO as oiio
 
-    if not path.is_file():
-        raise AssetError(f"{what}: {path} is missing: {REBUILD}")
     fault = find_png_fault(path.read_bytes())
     if fault:
         raise AssetError(f"{what}: {path} does not decode: {fault}: {REBUILD}")
@@ -216,9 +150,13 @@ def _read_texels(path: Path, what: str, dtype: str, size: tuple[int, int]) -> ND
         raise AssetError(f"{what}: {path} does not decode ({reason}): {REBUILD}")
     try:
         spec = reader.spec()
-        if (spec.width, spec.height) != size:
+        if (spec.width, spec.height) != size or spec.depth != 1:
             raise AssetError(f"{what}: {path} is {spec.width} x {spec.height}, not {size[0]} x {size[1]}: {REBUILD}")
-        texels = reader.read_image(0, 0, 0, spec.nchannels, _READER_TYPES[dtype])
+        if str(spec.format) != dtype:
+            raise AssetError(f"{what}: {path} holds {spec.format}, not {dtype} as the manifest says: {REBUILD}")
+        if spec.nchannels > MOST_CHANNELS:
+            raise AssetError(f"{what}: {path} has {spec.nchannels} channels: {REBUILD}")
+        texels = reader.read_image(0, 0, 0, spec.nchannels, dtype)
         error = reader.geterror()
     finally:
         reader.close()
@@ -228,96 +166,122 @@ def _read_texels(path: Path, what: str, dtype: str, size: tuple[int, int]) -> ND
     return np.ascontiguousarray(texels, _DTYPES[dtype]).reshape(size[1], size[0], -1)
 
 
-def _whole_number(value: Any, where: str, least: int = 1) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or value < least:
-        raise AssetError(f"{where} must be a whole number of at least {least}: {REBUILD}")
-    return value
+@dataclass(frozen=True)
+class _ImageJob:
+    """One image file to decode: whose it is, and what it must be."""
+
+    texture: str
+    path: Path
+    format: str
+    size: tuple[int, int]
 
 
-def _texture_jobs(folder: Path, manifest: Manifest) -> list[tuple[str, Path, str, tuple[int, int]]]:
-    """File, stored type and size of every level of every texture that the runtime knows, level 0 first."""
-    jobs = []
-    entries = manifest.json["textures"]
-    for name in GEOMETRY_TEXTURES:
-        if name not in entries:
-            raise AssetError(f"{folder / 'manifest.json'} lists no {name} texture: {REBUILD}")
-    for name in (*GEOMETRY_TEXTURES, *COLOR_TEXTURES):
-        entry = entries.get(name)
-        if entry is None:
-            continue
-        where = f"{folder / 'manifest.json'}: textures.{name}"
-        if not isinstance(entry, dict) or not isinstance(entry.get("file"), str):
-            raise AssetError(f"{where} names no file: {REBUILD}")
-        size = entry.get("size")
-        if not isinstance(size, list) or len(size) != 2:
-            raise AssetError(f"{where}.size is not [width, height]: {REBUILD}")
-        width, height = (_whole_number(value, f"{where}.size") for value in size)
-        if entry.get("format") not in _DTYPES:
-            raise AssetError(f"{where}.format is not one of {', '.join(_DTYPES)}: {REBUILD}")
-        if name == "weights":
-            slots = _whole_number(entry.get("slots"), f"{where}.slots")
-            jobs.append((name, folder / entry["file"], entry["format"], (width, 2 * -(-slots // 4) * height)))
-            continue
-        files = [entry["file"], *entry.get("mip_files", [])]
-        for level, file in enumerate(files):
-            jobs.append((name, folder / str(file), entry["format"], (max(1, width >> level), max(1, height >> level))))
+def _image_jobs(folder: Path, manifest: Manifest) -> list[_ImageJob]:
+    """Every level of every texture that the runtime knows, level 0 first."""
+    entries = manifest.entry.textures
+
+    def find(name: str, file: str) -> Path:
+        return find_local_file(folder, file, f"texture {name}", REBUILD)
+
+    position, weights = entries.position, entries.weights
+    width, height = weights.size
+    jobs = [
+        _ImageJob("position", find("position", position.file), position.format, position.size),
+        _ImageJob(
+            "weights", find("weights", weights.file), weights.format, (width, 2 * -(-weights.slots // 4) * height)
+        ),
+    ]
+    for name, entry in entries.colors().items():
+        for level, file in enumerate([entry.file, *entry.mip_files]):
+            size = (max(1, entry.size[0] >> level), max(1, entry.size[1] >> level))
+            jobs.append(_ImageJob(name, find(name, file), entry.format, size))
     return jobs
 
 
 def _read_textures(folder: Path, manifest: Manifest) -> dict[str, TextureData]:
-    jobs = _texture_jobs(folder, manifest)
+    jobs = _image_jobs(folder, manifest)
     with ThreadPoolExecutor(4) as pool:  # decoding releases the interpreter's lock
-        decoded = list(pool.map(lambda job: _read_texels(job[1], f"texture {job[0]}", job[2], job[3]), jobs))
+        decoded = list(
+            pool.map(lambda job: _read_texels(job.path, f"texture {job.texture}", job.format, job.size), jobs)
+        )
     levels: dict[str, list[NDArray[Any]]] = {}
     for job, texels in zip(jobs, decoded):
-        levels.setdefault(job[0], []).append(texels)
-    least = {"position": 3, "normal": 3, "weights": 4, "base_color": 3, "orm": 3, "emissive": 3}
-    for name, arrays in levels.items():
-        for texels in arrays:
-            if texels.shape[2] < least[name] or texels.shape[2] > 4:
-                raise AssetError(f"texture {name} has {texels.shape[2]} channels, not {least[name]} to 4: {REBUILD}")
-            if texels.dtype.kind == "f" and not np.isfinite(texels).all():
-                raise AssetError(f"texture {name} holds values that are not finite: {REBUILD}")
+        alike = all(texels.shape[2] == finer.shape[2] for finer in levels.get(job.texture, []))
+        if texels.shape[2] < LEAST_CHANNELS[job.texture] or not alike:
+            raise AssetError(f"texture {job.texture}: {job.path} has {texels.shape[2]} channels: {REBUILD}")
+        if texels.dtype.kind == "f" and not (np.abs(texels) <= FURTHEST_M).all():
+            raise AssetError(f"texture {job.texture} holds values that are not finite or far too large: {REBUILD}")
+        levels.setdefault(job.texture, []).append(texels)
     return {name: TextureData(name, tuple(arrays)) for name, arrays in levels.items()}
+
+
+def _check_words(folder: Path, manifest: Manifest, texels: NDArray[Any]) -> None:
+    """Positions that are drawn as words are whole steps of these."""
+    entry = manifest.json["textures"]["position"].get("words")
+    where = f"{folder / MANIFEST}: textures.position.words"
+    words = read_words(entry, where)
+    if words is None:
+        return
+    steps = (texels[..., :3] - words.low) / np.maximum(words.steps_m, 1e-30)
+    rounding = 1e-6 * np.abs(texels[..., :3]).max() / np.maximum(words.steps_m, 1e-30) + WORD_SLACK
+    if not (np.abs(steps - np.clip(np.rint(steps), 0, words.masks)) <= rounding).all():
+        raise AssetError(f"{where} are not those of its texels: {REBUILD}")
+
+
+def _check_weights(stack: NDArray[Any], height: int, num_joints: int, path: str) -> None:
+    """Joints of the weight map exist, and the weights of each texel count to one."""
+    images = stack.reshape(-1, 2, height, stack.shape[1], 4).astype(np.int64)
+    unit = WEIGHT_STEPS * (257 if stack.dtype == np.uint16 else 1)
+    if images[:, 0].max() >= num_joints:
+        raise AssetError(f"{path} names joint {images[:, 0].max()} of {num_joints}: {REBUILD}")
+    if (images[:, 1].sum(axis=(0, -1)) != unit).any() or (images[:, 1] % (unit // WEIGHT_STEPS)).any():
+        raise AssetError(f"{path} has texels whose weights are not one together: {REBUILD}")
 
 
 def _read_weight_details(folder: Path, manifest: Manifest) -> WeightDetails:
     """Where joint weights are finer than their map."""
-    weights = manifest.json["textures"]["weights"]
-    entry = weights.get("details")
-    if entry is None:
+    weights = manifest.entry.textures.weights
+    entry = weights.details
+    if isinstance(entry, UnsetType):
         return no_details()
-    where = f"{folder / 'manifest.json'}: textures.weights.details"
-    if not isinstance(entry, dict) or not isinstance(entry.get("file"), str):
-        raise AssetError(f"{where} names no file: {REBUILD}")
-    num_leaves, slots = (_whole_number(entry.get(key), f"{where}.{key}") for key in ("leaves", "slots"))
-    path = folder / entry["file"]
-    image = _read_texels(path, "weight details", weights["format"], details_size(num_leaves, slots))
+    path = find_local_file(folder, entry.file, "weight details", REBUILD)
+    image = _read_texels(path, "weight details", weights.format, details_size(entry.leaves, entry.slots))
     if image.shape[2] != 4:
         raise AssetError(f"{path} has {image.shape[2]} channels, not 4: {REBUILD}")
-    details = unpack_details(image, num_leaves, str(path))
+    details = unpack_details(image, entry.leaves, str(path))
     tree = build_quadtree(details, str(path))
-    outside = (tree.cells >= np.maximum(np.array(weights["size"]) - 1, 1)).any()
+    outside = (tree.cells >= np.maximum(np.array(weights.size) - 1, 1)).any()
     if outside or details.joints.max(initial=0) >= len(manifest.joints):
         raise AssetError(f"{path} is not of this character: {REBUILD}")
     return details
 
 
-def _read_material(spec: dict[str, Any]) -> MaterialData:
-    pbr = spec.get("pbrMetallicRoughness", {})
-    base = tuple(map(float, pbr.get("baseColorFactor", (1, 1, 1, 1))))
-    emissive = np.array(spec.get("emissiveFactor", (0, 0, 0)), float)
-    extensions = spec.get("extensions", {})
-    emissive = emissive * extensions.get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1.0)
+def _factors(spec: dict[str, Any], key: str, default: tuple[float, ...], where: str) -> tuple[float, ...]:
+    """As many finite numbers as the default has."""
+    values = spec.get(key, list(default) if len(default) > 1 else default[0])
+    values = tuple(map(float, values)) if isinstance(values, list) else (float(values),)
+    if len(values) != len(default) or not all(abs(value) <= LARGEST_FACTOR for value in values):
+        raise AssetError(f"{where}: {key} is not {len(default)} numbers up to {LARGEST_FACTOR:g}: {REBUILD}")
+    return values
+
+
+def _read_material(spec: dict[str, Any], where: str) -> MaterialData:
+    pbr, extensions = spec.get("pbrMetallicRoughness", {}), spec.get("extensions", {})
+    base = _factors(pbr, "baseColorFactor", (1.0, 1.0, 1.0, 1.0), where)
+    emissive = _factors(spec, "emissiveFactor", (0.0, 0.0, 0.0), where)
+    strength = _factors(extensions.get("KHR_materials_emissive_strength", {}), "emissiveStrength", (1.0,), where)[0]
+    mode = spec.get("alphaMode", "OPAQUE")
+    if mode not in ALPHA_MODES:
+        raise AssetError(f"{where}: alphaMode is {shown(mode)}, not one of {', '.join(ALPHA_MODES)}: {REBUILD}")
     return MaterialData(
         name=str(spec.get("name", "")),
         base_color_factor=(base[0], base[1], base[2], base[3]),
-        metallic_factor=float(pbr.get("metallicFactor", 1.0)),
-        roughness_factor=float(pbr.get("roughnessFactor", 1.0)),
-        emissive_factor=(float(emissive[0]), float(emissive[1]), float(emissive[2])),
-        occlusion_strength=float(spec.get("occlusionTexture", {}).get("strength", 1.0)),
-        alpha_mode=str(spec.get("alphaMode", "OPAQUE")),
-        alpha_cutoff=float(spec.get("alphaCutoff", 0.5)),
+        metallic_factor=_factors(pbr, "metallicFactor", (1.0,), where)[0],
+        roughness_factor=_factors(pbr, "roughnessFactor", (1.0,), where)[0],
+        emissive_factor=(emissive[0] * strength, emissive[1] * strength, emissive[2] * strength),
+        occlusion_strength=_factors(spec.get("occlusionTexture", {}), "strength", (1.0,), where)[0],
+        alpha_mode=mode,
+        alpha_cutoff=_factors(spec, "alphaCutoff", (0.5,), where)[0],
         double_sided=bool(spec.get("doubleSided", False)),
         unlit="KHR_materials_unlit" in extensions,
     )
@@ -326,18 +290,48 @@ def _read_material(spec: dict[str, Any]) -> MaterialData:
 def _read_skeleton(document: Document, manifest: Manifest) -> Skeleton:
     from runtime.animation.skeleton import read_skeleton
 
-    skin = document.item("skins", 0)
-    joints = skin.get("joints", [])
+    joints = document.item("skins", 0).get("joints", [])
     if len(joints) != len(manifest.joints):
         raise AssetError(
             f"{document.path} has {len(joints)} joints and manifest.json {len(manifest.joints)}: they are of different "
             f"builds; {REBUILD}"
         )
-    if "inverseBindMatrices" in skin:
-        inverse_bind = document.accessor(skin["inverseBindMatrices"]).astype(np.float64)
-    else:
-        inverse_bind = np.tile(np.eye(4), (len(joints), 1, 1))
-    return read_skeleton(document, joints, inverse_bind)
+    inverse_bind: NDArray[Any] = np.tile(np.eye(4), (len(joints), 1, 1))
+    if "inverseBindMatrices" in document.item("skins", 0):
+        inverse_bind = document.accessor(document.item("skins", 0)["inverseBindMatrices"])
+    if inverse_bind.shape != (len(joints), 4, 4):
+        raise AssetError(f"{document.path} has no inverse bind matrix for each of its joints: {REBUILD}")
+    skeleton = read_skeleton(document, joints, inverse_bind)
+    if skeleton.joint_names != manifest.joints:
+        raise AssetError(f"{document.path} and manifest.json name other joints, of different builds: {REBUILD}")
+    return skeleton
+
+
+def _read_clips(document: Document, skeleton: Skeleton, manifest: Manifest) -> tuple[Clip, ...]:
+    """The clips of the model, which are those of the manifest and of its boxes."""
+    from runtime.animation.clip import read_clips
+
+    clips = read_clips(document, skeleton)
+    listed = manifest.entry.clips
+    agree = [clip.name for clip in clips] == [entry.name for entry in listed] and all(
+        abs(clip.duration_s - entry.duration_s) <= DURATION_SLACK_S for clip, entry in zip(clips, listed)
+    )
+    for what, holds in (("clips", agree), ("bounds.clips", manifest.clip_bounds.keys() == {c.name for c in clips})):
+        if not holds:
+            raise AssetError(f"{document.path} and the {what} of {MANIFEST} are not the same: {REBUILD}")
+    return clips
+
+
+def _read_materials(document: Document, lods: tuple[LodMesh, ...]) -> tuple[MaterialData, ...]:
+    """The materials of the model, among them every one that a level is drawn with."""
+    materials = tuple(
+        _read_material(spec, f"{document.path}: material {number}")
+        for number, spec in enumerate(document.items("materials"))
+    ) or (MaterialData(),)
+    numbers = {draw.material for lod in lods for draw in lod.draws}
+    if max(numbers) >= len(materials):
+        raise AssetError(f"{document.path} draws with material {max(numbers)} of {len(materials)}: {REBUILD}")
+    return materials
 
 
 def load(path: str | Path) -> Asset:
@@ -357,26 +351,25 @@ def load(path: str | Path) -> Asset:
     AssetError
         If anything in the folder is missing, damaged, or newer than this program; the message names it.
     """
-    from runtime.animation.clip import read_clips
-
     if not isinstance(path, str | PathLike):
         raise AssetError(f"a character is loaded from the path of its folder, not from {shown(path)}")
     folder = Path(path)
     manifest = read_manifest(folder)
-    model = manifest.json.get("model", "model.glb")
-    document = read_document(folder / str(model))
+    document = read_document(find_local_file(folder, manifest.entry.model, "model", REBUILD))
     textures = _read_textures(folder, manifest)
+    weights = manifest.entry.textures.weights
+    _check_words(folder, manifest, textures["position"].levels[0])
+    _check_weights(textures["weights"].levels[0], weights.size[1], len(manifest.joints), str(folder / weights.file))
     skeleton = _read_skeleton(document, manifest)
-    weight_entry = manifest.json["textures"]["weights"]
-    materials = tuple(_read_material(spec) for spec in document.items("materials")) or (MaterialData(),)
+    lods = read_lods(document, manifest.entry.lods)
     return Asset(
         path=folder,
         manifest=manifest,
         textures=textures,
-        materials=materials,
-        lods=read_lods(document, manifest.name, manifest.json["lods"]),
+        materials=_read_materials(document, lods),
+        lods=lods,
         skeleton=skeleton,
-        clips=read_clips(document, skeleton),
-        weight_size=(int(weight_entry["size"][0]), int(weight_entry["size"][1])),
+        clips=_read_clips(document, skeleton, manifest),
+        weight_size=weights.size,
         weight_details=_read_weight_details(folder, manifest),
     )

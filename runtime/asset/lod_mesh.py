@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.asset.manifest import LodEntry
 from runtime.errors import REBUILD, AssetError
 from runtime.gltf.document import Document
+from runtime.validation import shown
+
+TRIANGLES = 4  # glTF's number of that mode
 
 
 @dataclass(frozen=True)
@@ -29,7 +34,7 @@ class LodMesh:
     ----------
     uvs : (N, 2) float32
         Where each vertex samples its material.
-    owner_uvs : (N, 2) float32
+    canonical_uvs : (N, 2) float32
         Where each vertex fetches position and weights; the same bits for every copy of a surface point.
     triangles : (F, 3) uint32, counter-clockwise seen from outside
     draws : tuple of DrawRange, in order, covering all faces
@@ -41,7 +46,7 @@ class LodMesh:
     """
 
     uvs: NDArray[np.float32]
-    owner_uvs: NDArray[np.float32]
+    canonical_uvs: NDArray[np.float32]
     triangles: NDArray[np.uint32]
     draws: tuple[DrawRange, ...]
     error_m: float
@@ -70,12 +75,12 @@ def _merge_vertices(
 
 
 def _read_vertices(document: Document, accessors: tuple[int | None, ...], where: str) -> NDArray[np.float32]:
-    """Uvs, owner uvs and normal uvs of a primitive's vertices, (N, 6); normal uvs are the uvs where there are none."""
-    uvs, owners = (document.accessor(index) for index in accessors[:2] if index is not None)
+    """Uvs, canonical uvs and normal uvs of a primitive's vertices, (N, 6); normal uvs are uvs where there are none."""
+    uvs, canonical = (document.accessor(index) for index in accessors[:2] if index is not None)
     normals = uvs if accessors[2] is None else document.accessor(accessors[2])
-    if uvs.ndim != 2 or uvs.shape[1] != 2 or not uvs.shape == owners.shape == normals.shape:
+    if uvs.ndim != 2 or uvs.shape[1] != 2 or not uvs.shape == canonical.shape == normals.shape:
         raise AssetError(f"{where}: TEXCOORD_0, _OWNER_UV and TEXCOORD_1 do not fit each other: {REBUILD}")
-    vertices = np.concatenate([uvs, owners, normals], axis=1).astype(np.float32)
+    vertices = np.concatenate([uvs, canonical, normals], axis=1).astype(np.float32)
     if not np.isfinite(vertices).all():
         raise AssetError(f"{where} has uvs that are not finite: {REBUILD}")
     return vertices
@@ -99,7 +104,10 @@ def _read_lod(document: Document, mesh_index: Any, where: str, error_m: float) -
             arrays.append(_read_vertices(document, key, where))
             num_vertices += len(arrays[-1])
         start = starts[key]
-        indices = document.accessor(primitive["indices"]).astype(np.int64)
+        indices = document.accessor(primitive["indices"])
+        if indices.dtype.kind != "u" or indices.ndim != 1 or primitive.get("mode", TRIANGLES) != TRIANGLES:
+            raise AssetError(f"{where} is not made of triangles: {REBUILD}")
+        indices = indices.astype(np.int64)
         if len(indices) % 3 or (len(indices) and indices.max() >= num_vertices - start):
             raise AssetError(f"{where} has triangles of vertices that do not exist: {REBUILD}")
         all_triangles.append(indices.reshape(-1, 3) + start)
@@ -111,19 +119,17 @@ def _read_lod(document: Document, mesh_index: Any, where: str, error_m: float) -
     vertices = np.concatenate(arrays)[:, : 6 if has_normal_uvs else 4]
     vertices, merged = _merge_vertices(vertices, np.concatenate(all_triangles))
     normal_uvs = np.ascontiguousarray(vertices[:, 4:]) if has_normal_uvs else None
-    uvs, owners = np.ascontiguousarray(vertices[:, :2]), np.ascontiguousarray(vertices[:, 2:4])
-    return LodMesh(uvs, owners, merged, tuple(draws), error_m, normal_uvs)
+    uvs, canonical = np.ascontiguousarray(vertices[:, :2]), np.ascontiguousarray(vertices[:, 2:4])
+    return LodMesh(uvs, canonical, merged, tuple(draws), error_m, normal_uvs)
 
 
-def read_lods(document: Document, character: str, entries: list[dict[str, Any]]) -> tuple[LodMesh, ...]:
+def read_lods(document: Document, entries: Sequence[LodEntry]) -> tuple[LodMesh, ...]:
     """The levels of detail of model.glb.
 
     Parameters
     ----------
     document : Document
-    character : str
-        Its name, which the levels' nodes bear unless their entries say otherwise.
-    entries : list of dict
+    entries : sequence of LodEntry
         What the manifest says of each level, the finest first.
 
     Raises
@@ -131,14 +137,15 @@ def read_lods(document: Document, character: str, entries: list[dict[str, Any]])
     AssetError
         If a level is missing or damaged.
     """
-    nodes = {node.get("name"): node for node in document.items("nodes") if "mesh" in node}
+    nodes = {str(node.get("name")): node for node in document.items("nodes") if "mesh" in node}
+    if len(nodes) != len(entries) or len({entry.node for entry in entries}) != len(entries):
+        raise AssetError(f"{document.path} has {len(nodes)} levels and the manifest {len(entries)}: {REBUILD}")
     lods = []
-    for level, entry in enumerate(entries):
-        name = entry.get("node", f"{character}_LOD{level}")
-        if name not in nodes:
-            raise AssetError(f"{document.path} has no mesh node {name}, which the manifest names: {REBUILD}")
-        error = entry.get("error_m", 0.0)
-        if not isinstance(error, int | float) or not np.isfinite(error) or error < 0:
-            raise AssetError(f"{document.path.parent / 'manifest.json'}: lods[{level}].error_m is {error}: {REBUILD}")
-        lods.append(_read_lod(document, nodes[name]["mesh"], f"{document.path}: {name}", float(error)))
+    for entry in entries:
+        if entry.node not in nodes:
+            raise AssetError(f"{document.path} has no mesh node {shown(entry.node)} of the manifest: {REBUILD}")
+        where = f"{document.path}: {entry.node[:60]}"
+        lods.append(_read_lod(document, nodes[entry.node]["mesh"], where, entry.error_m))
+        if len(lods[-1].triangles) != entry.faces:
+            raise AssetError(f"{where} has {len(lods[-1].triangles)} faces, the manifest says {entry.faces}: {REBUILD}")
     return tuple(lods)
