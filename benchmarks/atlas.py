@@ -1,6 +1,6 @@
 """Atlases side by side: what a build takes, all charts made anew, and xatlas' charts.
 
-All is measured on uvs as they are stored, at the size of the largest texture. `kept %`: of the surface, in charts of the
+All is measured on uvs as stored, at the size of the largest texture. `kept %`: of the surface, in charts of the
 source. `stretch`: longer against shorter axis, for 99.9 % of the surface. `sparse` and `stretched`: faces of a pixel or
 more, where the character is 1024 pixels large, with under a quarter of the median texels a metre or stretched more than
 4 : 1. `thin`: faces narrower than a texel. `seams`: their length in bounding diagonals. `reached`: faces at which
@@ -26,7 +26,7 @@ from preprocess.load import Character, load_character
 from preprocess.mesh.edges import cut_edges, find_edges, label_faces
 from preprocess.mesh.seams import find_seams
 from preprocess.mesh.surface import TexturedSurface
-from preprocess.mesh.texels import snap_owner_uvs
+from preprocess.mesh.texels import snap_canonical_uvs
 from preprocess.mesh.uv_overlap import find_overlap
 from preprocess.settings import Settings
 
@@ -58,7 +58,7 @@ def _measure(character: Character, way: str) -> dict[str, Any]:
         surface, size_px, kept, mode, seconds = _make(character, way)
     except ModuleNotFoundError as error:
         return {"way": way, "why not": f"{error.name} is not installed"}
-    stored = dataclasses.replace(surface, uvs=snap_owner_uvs(surface.uvs))
+    stored = dataclasses.replace(surface, uvs=snap_canonical_uvs(surface.uvs))
     edges = find_edges(surface.faces)
     overlap = find_overlap(stored.uvs, stored.face_uvs)
     texels = measure_texels(stored, size_px)

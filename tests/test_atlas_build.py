@@ -19,7 +19,7 @@ from preprocess.atlas.snap import bear_snapping
 from preprocess.errors import InputError
 from preprocess.mesh.predicates import face_orientation
 from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
-from preprocess.mesh.texels import snap_owner_uvs
+from preprocess.mesh.texels import snap_canonical_uvs
 from preprocess.mesh.uv_overlap import find_overlap
 from preprocess.settings import Settings
 
@@ -192,8 +192,8 @@ def test_stored_uvs_do_not_overlap_where_rounding_would_turn_a_face():
     positions = np.c_[uvs, np.zeros(6)]
     for v in (uvs, uvs + 0.3 * step):
         moved = bear_snapping(v, faces)
-        assert not (face_orientation(snap_owner_uvs(moved), faces) == 0).any()
-        assert find_overlap(snap_owner_uvs(moved), faces).one_to_one
+        assert not (face_orientation(snap_canonical_uvs(moved), faces) == 0).any()
+        assert find_overlap(snap_canonical_uvs(moved), faces).one_to_one
         assert np.abs(moved - v).max() < 4 * step
     assert build_atlas(skinned(positions, faces, uvs, faces), straighten_rel=None).overlap == 0
     square = square_patch().surface
@@ -239,7 +239,7 @@ def test_every_part_of_a_character_has_its_texels(name):
     atlas.mesh.validate()
     surface = atlas.mesh.surface
     assert atlas.overlap == 0
-    assert find_overlap(snap_owner_uvs(surface.uvs), surface.face_uvs).one_to_one
+    assert find_overlap(snap_canonical_uvs(surface.uvs), surface.face_uvs).one_to_one
     texels = atlas.texels
     assert texels["sparse_area"] <= 0.001 and texels["sparse_faces"] == 0
     assert texels["stretched_area"] <= 0.0011  # human: the source's own 0.00104

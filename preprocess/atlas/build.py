@@ -46,7 +46,7 @@ from preprocess.mesh.edges import cut_edges, find_edges, label_faces
 from preprocess.mesh.predicates import face_orientation
 from preprocess.mesh.split_edges import apply_split
 from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
-from preprocess.mesh.texels import snap_owner_uvs
+from preprocess.mesh.texels import snap_canonical_uvs
 from preprocess.mesh.uv_overlap import find_overlap
 from preprocess.settings import Settings, floor_faces
 from preprocess.straighten import Straightened, straighten
@@ -281,7 +281,7 @@ def _pack_anew(
         packed = place_charts(straight.surface, made_detail.finest())
         uvs = bear_snapping(packed.uvs, packed.face_uvs)
         packed = dataclasses.replace(packed, uvs=uvs)
-        overlapping = find_overlap(snap_owner_uvs(uvs), packed.face_uvs).faces
+        overlapping = find_overlap(snap_canonical_uvs(uvs), packed.face_uvs).faces
         if not overlapping.any():
             break
         log.info("atlas: %d faces overlap once rounded, and are cut off", overlapping.sum())
@@ -327,7 +327,7 @@ def _finish(
     if mode == "keep":
         surface = dataclasses.replace(surface, uvs=bear_snapping(surface.uvs, surface.face_uvs))
         mesh = mesh.with_surface(surface)
-    stored = dataclasses.replace(surface, uvs=snap_owner_uvs(surface.uvs))
+    stored = dataclasses.replace(surface, uvs=snap_canonical_uvs(surface.uvs))
     wanted = {kind: wanted_side(stored, need) for kind, need in detail.needs.items() if detail.sides[kind]}
     if mode == "keep":  # what straightening takes from a chart is no reason for a larger texture
         wanted = {kind: min(side, float(detail.sides[kind])) for kind, side in wanted.items()}

@@ -10,7 +10,7 @@ import numpy as np
 
 from preprocess.arrays import Floats, Ints
 from preprocess.mesh.predicates import face_orientation
-from preprocess.mesh.texels import UV_STEPS, snap_owner_uvs
+from preprocess.mesh.texels import UV_STEPS, snap_canonical_uvs
 from preprocess.numerics.jit import entry
 
 REACH = 3  # steps that a vertex may go, each way
@@ -27,7 +27,7 @@ def bear_snapping(uvs: Floats, face_uvs: Ints) -> Floats:
     face_uvs : (F, 3) int32
     """
     wanted = face_orientation(uvs, face_uvs).astype(np.int64)
-    steps = np.rint(snap_owner_uvs(uvs) * UV_STEPS).astype(np.int64)
+    steps = np.rint(snap_canonical_uvs(uvs) * UV_STEPS).astype(np.int64)
     corners = face_uvs.ravel()
     faces_of = np.argsort(corners, kind="stable") // 3
     first = np.searchsorted(corners[np.argsort(corners, kind="stable")], np.arange(len(uvs) + 1))
