@@ -82,8 +82,10 @@ def find_detail(character: Character) -> Detail:
     for kind in reversed(KINDS):
         need, sides[kind] = np.zeros(mesh.num_faces), 0
         for index, ref in enumerate(refs_of(character.materials, kind)):
-            faces = np.flatnonzero(mesh.face_materials == index)
-            if ref is None or not len(faces) or ref.texcoord >= mesh.corner_texcoords.shape[2]:
+            if ref is None:
+                continue
+            faces = np.flatnonzero((mesh.face_materials == index) & mesh.has_texcoords(ref.texcoord))
+            if not len(faces):
                 continue
             if id(ref.image) not in levels:
                 levels[id(ref.image)] = find_levels(ref.image.texels)
