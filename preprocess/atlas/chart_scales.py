@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.arrays import Floats
-from preprocess.atlas.distortion import turned_areas
+from preprocess.atlas.distortion import sums, turned_areas
 from preprocess.mesh.edges import cut_edges, face_frames, find_edges, label_faces
 from preprocess.mesh.surface import TexturedSurface
 
@@ -46,7 +46,7 @@ def chart_densities(needs: Floats, areas_m2: Floats, face_charts: NDArray[np.int
     """
     order = np.lexsort((needs, face_charts))
     charts = face_charts[order]
-    total = np.bincount(face_charts, areas_m2, num_charts)
+    total = sums(face_charts, areas_m2, num_charts)
     so_far = np.cumsum(areas_m2[order])
     so_far -= (np.cumsum(total) - total)[charts]
     enough = np.flatnonzero(so_far >= FINEST_SHARE * total[charts] * (1.0 - 1e-9))

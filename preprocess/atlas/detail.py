@@ -113,7 +113,7 @@ def find_levels(texels: NDArray[np.floating]) -> NDArray[np.uint8]:
     height, width = texels.shape[:2]
     step = 1 << COARSEST
     padded = np.pad(texels, ((0, -height % step), (0, -width % step), (0, 0)), mode="edge").astype(np.float32)
-    same = []
+    same: list[NDArray[np.bool_]] = []
     for _ in range(COARSEST):
         rows, columns, channels = padded.shape
         half = padded.reshape(rows // 2, 2, columns // 2, 2, channels).mean(axis=(1, 3))

@@ -13,6 +13,11 @@ APART = 1.02
 """Charts are tested for overlap beside one another, in boxes this much longer than they are."""
 
 
+def sums(owners: NDArray[np.integer], values: NDArray[np.floating], count: int) -> Floats:
+    """Sum of the values (N,) of each owner (N,), (count,) float64."""
+    return np.asarray(np.bincount(owners, values, count), np.float64)
+
+
 def turned_areas(triangles: Floats) -> Floats:
     """Area of plane triangles (F, 3, 2), negative where clockwise, (F,)."""
     a, b = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from preprocess.arrays import Floats, Ints
@@ -67,7 +68,9 @@ def project_charts(points: Floats, face_uvs: Ints, face_charts: Ints, num_charts
     return np.stack([(points * first[uv_chart]).sum(axis=1), (points * second[uv_chart]).sum(axis=1)], axis=1)
 
 
-def flatten_free(uvs: Floats, flat: Floats, face_uvs: Ints, face_charts: Ints, steps: int) -> Floats:
+def flatten_free(
+    uvs: Floats, flat: Floats, face_uvs: NDArray[np.integer], face_charts: NDArray[np.integer], steps: int
+) -> Floats:
     """Nearly isometric maps from a first guess.
 
     Parameters

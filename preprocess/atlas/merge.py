@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from preprocess.arrays import Floats, Ints
-from preprocess.atlas.distortion import overlapping_charts, singular_values, turned_areas
+from preprocess.atlas.distortion import overlapping_charts, singular_values, sums, turned_areas
 from preprocess.atlas.flatten import flatten_free, local_triangles
 from preprocess.mesh.edges import Bools, MeshEdges, label_faces
 
@@ -157,7 +157,7 @@ def _angle_sums(flat: Floats, faces: Ints, num_vertices: int) -> Floats:
     after, before = np.roll(flat, -1, axis=1) - flat, np.roll(flat, 1, axis=1) - flat
     cosine = (after * before).sum(axis=2)
     sine = after[..., 0] * before[..., 1] - after[..., 1] * before[..., 0]
-    return np.bincount(faces.ravel(), np.arctan2(sine, cosine).ravel(), num_vertices)
+    return sums(faces.ravel(), np.arctan2(sine, cosine).ravel(), num_vertices)
 
 
 def _are_narrow(edges: MeshEdges, rows: NDArray[np.int64], lengths: Floats, corner_uvs: Floats) -> Bools:
@@ -199,8 +199,8 @@ def _move_second(
     owner, num = np.tile(joins.edge_joins, 2), len(joins.charts)
     goal_mean, start_mean = _means(goal, owner, num), _means(start, owner, num)
     g, s = goal - goal_mean[owner], start - start_mean[owner]
-    cosine = np.bincount(owner, (s * g).sum(axis=1), num)
-    sine = np.bincount(owner, s[:, 0] * g[:, 1] - s[:, 1] * g[:, 0], num)
+    cosine = sums(owner, (s * g).sum(axis=1), num)
+    sine = sums(owner, s[:, 0] * g[:, 1] - s[:, 1] * g[:, 0], num)
     length = np.hypot(cosine, sine)
     cosine, sine = np.where(length > 0, cosine, 1.0), sine / np.where(length > 0, length, 1.0)
     cosine = cosine / np.where(length > 0, length, 1.0)
@@ -225,7 +225,7 @@ def _relax(
     """Corners of the joined charts, each texture vertex in one place."""
     count, face_uvs = _label_corners(edges, cut, chosen)
     corners = np.bincount(face_uvs.ravel(), minlength=count)
-    uvs = np.stack([np.bincount(face_uvs.ravel(), moved[..., k].ravel(), count) for k in range(2)], axis=1)
+    uvs = np.stack([sums(face_uvs.ravel(), moved[..., k].ravel(), count) for k in range(2)], axis=1)
     uvs /= corners[:, None]
     gap = np.zeros(num_joins)
     np.maximum.at(gap, face_joins, np.abs(uvs[face_uvs] - moved).max(axis=(1, 2)))

@@ -73,7 +73,7 @@ def find_sound_charts(surface: TexturedSurface, flat: Floats, texels: Floats) ->
     charts = np.full(len(surface.faces), -1, np.int64)
     if not len(surface.uvs):
         return charts
-    usable = np.isfinite(surface.uvs).all(axis=1)[surface.face_uvs].all(axis=1)
+    usable: Bools = np.asarray(np.isfinite(surface.uvs[surface.face_uvs]).all(axis=(1, 2)))
     usable &= face_orientation(np.nan_to_num(surface.uvs, posinf=0.0, neginf=0.0), surface.face_uvs) != 0
     corners = surface.uvs[surface.face_uvs] * texels[:, None]
     groups = np.unique(texels, axis=0, return_inverse=True)[1].reshape(-1)
