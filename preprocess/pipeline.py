@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from preprocess.arrays import Floats, Ints
-from preprocess.atlas import Atlas, build_atlas
+from preprocess.atlas import Atlas, character_atlas
 from preprocess.bake.geometry import bake_surface_positions
 from preprocess.decimate import Chain, DecimateOptions, decimate
 from preprocess.export.folder import LodRow, write_folder
@@ -23,12 +23,11 @@ from preprocess.fit.uv_quantisation import snap_levels, snap_mesh
 from preprocess.load import Character, load_character
 from preprocess.load.pose_sampling import sample_poses
 from preprocess.progress import Progress
-from preprocess.settings import Settings, floor_faces
+from preprocess.settings import Settings
 
 log = logging.getLogger(__name__)
 
 SURFACE_PX = 1024  # side of the texture that stands for the surface when levels are costed
-GUTTER_SIZE_PX, GUTTER_PX = 512, 4.0  # charts stay apart in geometry and weight textures of this size
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,7 @@ def build(model: Path, destination: Path, settings: Settings, progress: Progress
                 f"{mesh.num_faces} faces, {character.skeleton.num_joints} joints, {len(character.clips)} clips"
             )
         with progress.stage("atlas") as stage:
-            atlas = _build_atlas(character, settings)
+            atlas = character_atlas(character, settings)
             stored = dataclasses.replace(atlas, mesh=snap_mesh(atlas.mesh))
             stage.delta = f"{atlas.mode}, {atlas.num_charts} charts, floor {atlas.floor_faces} faces"
         poses = sample_poses(character)
@@ -105,18 +104,6 @@ def build(model: Path, destination: Path, settings: Settings, progress: Progress
                 manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
                 write_report(folder / "report.html", manifest, stored.mesh.surface, baking.draw_decisions())
     return BuildResult(rows, warnings, dict(progress.seconds))
-
-
-def _build_atlas(character: Character, settings: Settings) -> Atlas:
-    floor = floor_faces(character.mesh.num_faces, settings.floor_rel)
-    return build_atlas(
-        character.mesh,
-        mode=settings.atlas,
-        floor=floor,
-        size_px=GUTTER_SIZE_PX,
-        gutter_px=GUTTER_PX,
-        straighten_rel=settings.straighten_rel,
-    )
 
 
 def draw_groups(character: Character, face_materials: Ints) -> Ints | None:
