@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from preprocess.erase import LOCAL, EraseOptions, erase, measure_seams
-from preprocess.erase.band import plan_band
-from preprocess.erase.constrained import solve_near
-from preprocess.erase.local import JUMP_LIMIT, UNIT, close_seams
-from preprocess.erase.local_mips import close_mips
-from preprocess.erase.relax import project, relax
-from preprocess.erase.rounding import round_texels
+from preprocess.erase.local.band import plan_band
+from preprocess.erase.local.closing import JUMP_LIMIT, UNIT, close_seams
+from preprocess.erase.local.constrained import solve_near
+from preprocess.erase.local.mips import close_mips
+from preprocess.erase.local.relax import project, relax
+from preprocess.erase.local.rounding import round_texels
 from preprocess.mesh.seams import find_seams
 from tests.builders_erase import MESHES, paint
 

@@ -30,7 +30,7 @@ from preprocess.erase import (
     Level,
     erase_mips,
 )
-from preprocess.erase.local_mips import Bands, close_mips
+from preprocess.erase.local.mips import Bands, close_mips
 from preprocess.erase.mips import is_crowded, mip_sizes
 from preprocess.erase.seam_classification import Decision, choose_color_seams, choose_normal_seams, draw_decision
 from preprocess.fit.geometry_maps import store_positions, store_weights

@@ -1,4 +1,4 @@
-"""Erasure near seams, solved in place: the compiled part (see `band` for the system, `local` for the order of steps).
+"""Erasure near seams, solved in place: the compiled part (see `band` for the system, `closing` for the order of steps).
 
 Two methods that need neither a matrix nor a factor, and whose cost is linear in the texels beside seams:
 

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.arrays import Floats
-from preprocess.erase.band import Band
-from preprocess.erase.constrained import solve_near
-from preprocess.erase.relax import project, relax
-from preprocess.erase.rounding import round_texels
+from preprocess.erase.local.band import Band
+from preprocess.erase.local.constrained import solve_near
+from preprocess.erase.local.relax import project, relax
+from preprocess.erase.local.rounding import round_texels
 from preprocess.erase.seam_samples import SeamMeasure
 
 log = logging.getLogger(__name__)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from preprocess.arrays import Floats
-from preprocess.erase.band import Band
+from preprocess.erase.local.band import Band
 from preprocess.numerics.cholesky import factor_symmetric
 
 RINGS = 12  # samples sharing a texel, ring by ring, that are solved with those beyond their limits

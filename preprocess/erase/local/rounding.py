@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from preprocess.arrays import Floats
-from preprocess.erase.band import Band
+from preprocess.erase.local.band import Band
 from preprocess.numerics.jit import fixed_memory_entry, fixed_memory_helper
 
 TOLERATED = 0.3

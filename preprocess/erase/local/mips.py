@@ -1,4 +1,4 @@
-"""Mip chains of a build, whose every level is seamless as stored (see `mips` for the rules, `local` for the method)."""
+"""Mip chains of a build, whose every level is seamless as stored (see `erase.mips` for the rules, `closing` for the method)."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.erase.band import Band, plan_band
-from preprocess.erase.local import JUMP_LIMIT, MAX_STORED, UNIT, close_seams
+from preprocess.erase.local.band import Band, plan_band
+from preprocess.erase.local.closing import JUMP_LIMIT, MAX_STORED, UNIT, close_seams
 from preprocess.erase.mips import Level, is_crowded, mip_sizes, shrink
 from preprocess.erase.options import DEFAULT_OPTIONS, EraseOptions
 from preprocess.files.srgb import linear_to_srgb, srgb_to_linear
