@@ -123,7 +123,7 @@ def find_drawn_points(asset: Asset, mesh: SkinnedMesh, faces: Ints, shares: Floa
     level = asset.lods[0]
     triangles = level.triangles.astype(np.int64)
     positions, weights = fetched_vertices(asset)
-    _, point = np.unique(level.owner_uvs, axis=0, return_inverse=True)
+    _, point = np.unique(level.canonical_uvs, axis=0, return_inverse=True)
     point = point.ravel()
     dense, place = mesh.dense_weights(asset.num_joints), _places(mesh)
     classes = _classes(positions, weights, mesh, dense)

@@ -29,8 +29,8 @@ void main() {
     evaluate();
     uint at = atomicAdd(num_points, 1u);
     points[3u * at] = vec4(surface_position, gl_TessCoord.x);
-    points[3u * at + 1u] = vec4(gl_TessCoord.yz, corner_owner_uv[0]);
-    points[3u * at + 2u] = vec4(corner_owner_uv[1], corner_owner_uv[2]);
+    points[3u * at + 1u] = vec4(gl_TessCoord.yz, corner_canonical_uv[0]);
+    points[3u * at + 2u] = vec4(corner_canonical_uv[1], corner_canonical_uv[2]);
 }
 """
 
@@ -81,7 +81,7 @@ class PointCapture:
         Returns
         -------
         (N, 12) float32
-            Position (3), place in its patch (3), owner uvs of the patch's corners (6).
+            Position (3), place in its patch (3), canonical uvs of the patch's corners (6).
         """
         self._storage.write(bytes(16))
         self._storage.bind_to_storage_buffer(STORAGE_BINDING)

@@ -34,7 +34,7 @@ CANDIDATES = 8  # nearest source vertices among which a vertex finds its own: pa
 def fetched_vertices(asset: Asset) -> tuple[Floats, Floats]:
     """Rest positions (V, 3) and dense weights (V, J) of the finest level's surface vertices, as they are drawn."""
     prepared = prepare(asset)
-    places = np.unique(asset.lods[0].owner_uvs, axis=0).astype(np.float64)
+    places = np.unique(asset.lods[0].canonical_uvs, axis=0).astype(np.float64)
     texels = prepared.positions.metres
     stored = unpack_weights(asset.textures["weights"].levels[0], asset.weight_size, asset.num_joints)
     return sample_bilinear(texels, places), sample_weights(stored, asset.weight_details, places)

@@ -5,7 +5,7 @@ nothing else: what shows otherwise is a crack, or the body turned inside out by 
 static frame is drawn again with vertices that nothing can separate, one vertex a surface point; pixels that are wrong
 with our drawing and right with that one are cracks. A tessellated frame has no such twin: its points are read back, and
 those count that two triangles share and that are not the same bits, or that one triangle makes alone. What triangles
-share to the bit no rasteriser of OpenGL may separate. The same frames without the owner scheme, and with one side of
+share to the bit no rasteriser of OpenGL may separate. The same frames without canonical uvs, and with one side of
 every seam moved by a millionth of the size, are counted beside it.
 
 Only closed parts of a character are drawn; what is open at its edges shows its inside rightly.
@@ -39,7 +39,7 @@ SHIFT_REL = 1e-6  # of the control: how far one side of every seam is moved, of 
 
 def closed_parts(mesh: LodMesh) -> LodMesh:
     """The faces of those connected parts whose every edge has two faces."""
-    _, point = np.unique(mesh.owner_uvs, axis=0, return_inverse=True)
+    _, point = np.unique(mesh.canonical_uvs, axis=0, return_inverse=True)
     corners = point.ravel()[mesh.triangles.astype(np.int64)]
     start, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
     keys = np.minimum(start, end) * (point.max() + 1) + np.maximum(start, end)
@@ -66,24 +66,24 @@ def closed_parts(mesh: LodMesh) -> LodMesh:
 
 def surface_points(mesh: LodMesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The first vertex of each surface point, and the point of each vertex."""
-    _, first, point = np.unique(mesh.owner_uvs, axis=0, return_index=True, return_inverse=True)
+    _, first, point = np.unique(mesh.canonical_uvs, axis=0, return_index=True, return_inverse=True)
     return first, point.ravel()
 
 
-def welded(mesh: LodMesh, *, at_owners: bool) -> LodMesh:
-    """The same faces with one vertex a surface point, which fetches at its owner's uv or at its first copy's."""
+def welded(mesh: LodMesh, *, at_canonical: bool) -> LodMesh:
+    """The same faces with one vertex a surface point, which fetches at its canonical uv or at its first copy's."""
     first, point = surface_points(mesh)
-    uvs = (mesh.owner_uvs if at_owners else mesh.uvs)[first]
+    uvs = (mesh.canonical_uvs if at_canonical else mesh.uvs)[first]
     triangles = point[mesh.triangles.astype(np.int64)].astype(np.uint32)
-    return dataclasses.replace(mesh, uvs=uvs, owner_uvs=uvs, triangles=triangles, normal_uvs=None)
+    return dataclasses.replace(mesh, uvs=uvs, canonical_uvs=uvs, triangles=triangles, normal_uvs=None)
 
 
 def moved_seams(mesh: LodMesh, shift_uv: float) -> LodMesh:
-    """The owner uv of every copy that lies elsewhere in the atlas than its point's first copy, moved."""
+    """The canonical uv of every copy that lies elsewhere in the atlas than its point's first copy, moved."""
     first, point = surface_points(mesh)
-    owners = mesh.owner_uvs.copy()
-    owners[(mesh.uvs != mesh.uvs[first[point]]).any(axis=1)] += np.float32(shift_uv)
-    return dataclasses.replace(mesh, owner_uvs=owners)
+    canonical = mesh.canonical_uvs.copy()
+    canonical[(mesh.uvs != mesh.uvs[first[point]]).any(axis=1)] += np.float32(shift_uv)
+    return dataclasses.replace(mesh, canonical_uvs=canonical)
 
 
 def metres_a_uv(asset: Asset) -> float:
@@ -91,7 +91,7 @@ def metres_a_uv(asset: Asset) -> float:
     from preprocess.mesh.texels import sample_bilinear
 
     mesh = asset.lods[0]
-    positions = sample_bilinear(asset.textures["position"].levels[0][:, :, :3], mesh.owner_uvs)
+    positions = sample_bilinear(asset.textures["position"].levels[0][:, :, :3], mesh.canonical_uvs)
     a, b = mesh.triangles[:, 0], mesh.triangles[:, 1]
     uv = np.linalg.norm(mesh.uvs[a] - mesh.uvs[b], axis=1)
     length = np.linalg.norm(positions[a] - positions[b], axis=1)
@@ -206,14 +206,14 @@ def measure(ctx: moderngl.Context, folder: Path, count: int, size: tuple[int, in
     shift_uv = SHIFT_REL * float(np.linalg.norm(high - low)) / metres_a_uv(asset)
     shifted = dataclasses.replace(asset, lods=tuple(moved_seams(mesh, shift_uv) for mesh in asset.lods))
     single, first = (
-        dataclasses.replace(asset, lods=tuple(welded(mesh, at_owners=at_owners) for mesh in asset.lods))
-        for at_owners in (True, False)
+        dataclasses.replace(asset, lods=tuple(welded(mesh, at_canonical=at_canonical) for mesh in asset.lods))
+        for at_canonical in (True, False)
     )
-    ours, without = Drawer(ctx, asset), Drawer(ctx, asset, {"WITHOUT_OWNERS": 1})
+    ours, without = Drawer(ctx, asset), Drawer(ctx, asset, {"WITHOUT_CANONICAL_UVS": 1})
     moved, twin, first_twin = Drawer(ctx, shifted), Drawer(ctx, single), Drawer(ctx, first)
     canvas = Canvas(ctx, size, smooth=False)
-    result = {"static cracks, px": 0, "without owners, px": 0, "moved by 1e-6, px": 0}
-    bits = {"tessellated points": 0, "unlike bits": 0, "without owners, points": 0}
+    result = {"static cracks, px": 0, "without canonical uvs, px": 0, "moved by 1e-6, px": 0}
+    bits = {"tessellated points": 0, "unlike bits": 0, "without canonical uvs, points": 0}
     for frame in frames(asset, count, seed):
         if frame.tessellation == "off":
             reference, own_reference = twin.draw(canvas, frame), first_twin.draw(canvas, frame)
@@ -224,7 +224,7 @@ def measure(ctx: moderngl.Context, folder: Path, count: int, size: tuple[int, in
             made, unlike = ours.unlike_points(canvas, frame)
             bits["tessellated points"] += made
             bits["unlike bits"] += unlike
-            bits["without owners, points"] += without.unlike_points(canvas, frame)[1]
+            bits["without canonical uvs, points"] += without.unlike_points(canvas, frame)[1]
     kept = len(asset.lods[0].triangles)
     return {"character": asset.name, "frames": count, "closed faces": kept, **result, **bits}
 

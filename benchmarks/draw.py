@@ -108,9 +108,9 @@ def attribute_vertices(asset: Asset) -> NDArray[Any]:
     from preprocess.mesh.texels import sample_bilinear
 
     mesh = asset.lods[0]
-    positions = sample_bilinear(asset.textures["position"].levels[0][:, :, :3], mesh.owner_uvs)
+    positions = sample_bilinear(asset.textures["position"].levels[0][:, :, :3], mesh.canonical_uvs)
     stored = unpack_weights(asset.textures["weights"].levels[0], asset.weight_size, asset.num_joints)
-    weights = sample_weights(stored, asset.weight_details, mesh.owner_uvs.astype(np.float64))
+    weights = sample_weights(stored, asset.weight_details, mesh.canonical_uvs.astype(np.float64))
     joints = np.argsort(-weights, axis=1, kind="stable")[:, :4]
     strongest = np.take_along_axis(weights, joints, axis=1)
     form = [("position", "<f4", 3), ("uv", "<f4", 2), ("joints", "u1", 4), ("weights", "u1", 4)]
@@ -164,12 +164,14 @@ def add_layouts(bench: Bench) -> dict[str, int]:
     names = ("in_position", "in_uv", "in_joints", "in_weights")
     bench.add("vertex attributes", "attributes.vert", vertices, "3f4 2f4 4u1 4f1", names, {})
     finest = bench.model.lods[0]
-    own, owners = finest.vertices, {**finest.uv_defines, **bench.model.shader_defines}
+    own, defines = finest.vertices, {**finest.uv_defines, **bench.model.shader_defines}
     form, both = " ".join(form for form, _ in finest.attributes), tuple(name for _, name in finest.attributes)
-    bench.add("textures: records a cell", "static.vert", own, form, both, owners)
-    bench.add("textures: lists a texel", "layouts.vert", own, form, both, {**owners, "LAYOUT_LISTS": 1, "LISTS": lists})
+    bench.add("textures: records a cell", "static.vert", own, form, both, defines)
     bench.add(
-        "textures: dense layers", "layouts.vert", own, form, both, {**owners, "LAYOUT_DENSE": 1, "LAYERS": layers}
+        "textures: lists a texel", "layouts.vert", own, form, both, {**defines, "LAYOUT_LISTS": 1, "LISTS": lists}
+    )
+    bench.add(
+        "textures: dense layers", "layouts.vert", own, form, both, {**defines, "LAYOUT_DENSE": 1, "LAYERS": layers}
     )
     return {
         "vertex attributes": 8 * len(bench.mesh.uvs),

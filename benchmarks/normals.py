@@ -3,7 +3,8 @@
 The source's normal is the one glTF says to shade with: corner normals interpolated, with the file's tangent-space
 normal map in them, tangents from the file or by MikkTSpace (`_source_normals.py`, which shares nothing with the
 pipeline but the loaded file). Beside it, what the runtime's fragment shader has there: the finest level's normal uvs
-interpolated over its triangle, the texture's full-size level sampled, and the joints' blend at the owner uvs applied.
+interpolated over its triangle, the texture's full-size level sampled, and the joints' blend at the canonical uvs
+applied.
 
 Posed, in moments of all clips, a vertex of the source and its normal move by the linear blend of its joints and by that
 blend's cofactors: `corners` are the full mesh's corners, all counting alike. Inside a face there are two ways: move the
@@ -59,7 +60,7 @@ class DrawnNormals:
         self.size = texels.shape[1::-1]
         decoded = texels.astype(np.float64) / full * 2.0 - 1.0
         self.at_rest = sample_bilinear(decoded, np.einsum("nk,nkc->nc", points.shares, self.corners))
-        places, self._point = np.unique(level.owner_uvs, axis=0, return_inverse=True)
+        places, self._point = np.unique(level.canonical_uvs, axis=0, return_inverse=True)
         stored = unpack_weights(asset.textures["weights"].levels[0], asset.weight_size, asset.num_joints)
         self._weights = sample_weights(stored, asset.weight_details, places.astype(np.float64))
 

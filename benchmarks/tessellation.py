@@ -40,7 +40,7 @@ def _grid(segments: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 def drawn(asset: Asset, mesh: LodMesh) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """A level's vertices and faces at rest."""
     texels = asset.textures["position"].levels[0][:, :, :3].astype(np.float64)
-    return sample_bilinear(texels, mesh.owner_uvs.astype(np.float64)), mesh.triangles.astype(np.int32)
+    return sample_bilinear(texels, mesh.canonical_uvs.astype(np.float64)), mesh.triangles.astype(np.int32)
 
 
 def divided(asset: Asset, mesh: LodMesh, segments: int) -> tuple[NDArray[np.float64], NDArray[np.int32], float]:
@@ -48,9 +48,9 @@ def divided(asset: Asset, mesh: LodMesh, segments: int) -> tuple[NDArray[np.floa
     texels = asset.textures["position"].levels[0][:, :, :3].astype(np.float64)
     patches = divided_patches(asset, mesh).astype(np.int64)
     whole = patches[:, 3:9:2] == patches[:, 4:9:2]  # edges that stay so
-    uvs, owners = mesh.uvs.astype(np.float64), mesh.owner_uvs.astype(np.float64)
+    uvs, canonical = mesh.uvs.astype(np.float64), mesh.canonical_uvs.astype(np.float64)
     shares, small = _grid(segments)
-    at_corners = corner_uvs(uvs, owners, patches)
+    at_corners = corner_uvs(uvs, canonical, patches)
     places = np.einsum("sk,fki->fsi", shares, uvs[patches[:, :3]])
     edges = [np.flatnonzero(shares[:, (side + 2) % 3] == 0) for side in range(3)]
     for side, on_edge in enumerate(edges):

@@ -1,8 +1,8 @@
 """A built character as it would be without its seams erased: every texture as a plain bake leaves it.
 
 The textures are baked again from the source file into the same atlas; levels of detail, skeleton and clips are the
-built character's. Drawn with `WITHOUT_OWNERS`, each side of a seam fetches its own texels, and what erasure and
-ownership are for can be seen.
+built character's. Drawn with `WITHOUT_CANONICAL_UVS`, each side of a seam fetches its own texels, and what erasure and
+canonical uvs are for can be seen.
 """
 
 from __future__ import annotations

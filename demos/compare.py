@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from demos.errors import DemoError
 from demos.extras import needs_packages
 from demos.headless import create_context, write_png
+from demos.model_cache import MODEL_SUFFIXES
 from demos.options import Options, Parser, add_arguments, options_of, run
 from demos.viewer import choose_camera, find_folder, make_actor
 from runtime.asset.asset import Asset, load
@@ -45,11 +46,11 @@ Place = tuple[NDArray[np.float64], NDArray[np.float64]]  # a point of the skin a
 def _seam_vertices(asset: Asset) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
     """Vertices of the finest level that do not own their surface point, their points and unit normals at rest."""
     mesh = asset.lods[0]
-    split = np.flatnonzero((mesh.uvs != mesh.owner_uvs).any(axis=1))
-    points = _sample(asset.textures["position"].levels[0].astype(np.float64), mesh.owner_uvs[split])
+    split = np.flatnonzero((mesh.uvs != mesh.canonical_uvs).any(axis=1))
+    points = _sample(asset.textures["position"].levels[0].astype(np.float64), mesh.canonical_uvs[split])
     stored = asset.textures["normal"].levels[0]
     plain = stored.astype(np.float64) / 65535.0 * 2.0 - 1.0 if stored.dtype == np.uint16 else stored.astype(np.float64)
-    normals = _sample(plain, mesh.owner_uvs[split])
+    normals = _sample(plain, mesh.canonical_uvs[split])
     return split, points, normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
 
 
@@ -76,7 +77,7 @@ def worst_seams(asset: Asset, before: Asset, count: int) -> list[Place]:
     mesh, levels = asset.lods[0], before.textures["base_color"].levels
     level = levels[min(3, len(levels) - 1)]
     tone = level[..., :3].sum(axis=2, keepdims=True) / 765.0 + 0.02  # of a few texels: not their pattern
-    jump = np.log(_sample(tone, mesh.uvs[split]) / _sample(tone, mesh.owner_uvs[split]))[:, 0]
+    jump = np.log(_sample(tone, mesh.uvs[split]) / _sample(tone, mesh.canonical_uvs[split]))[:, 0]
     diagonal = float(np.linalg.norm(np.ptp(asset.manifest.bind_bounds, axis=0)))
     # A step that goes the same way all along a stretch of seam is what an eye sees; a pattern that is off is not.
     around = cKDTree(points).query_ball_point(points, 0.5 * CLOSE_REL * diagonal)
@@ -117,7 +118,7 @@ class Comparison:
         self.before: Model | None = None
         if self.before_asset is not None:
             self.before = Model(ctx, self.before_asset, position_format="float32")
-            self.plain = Studio(ctx, Renderer(ctx, shader_defines={"WITHOUT_OWNERS": 1}))
+            self.plain = Studio(ctx, Renderer(ctx, shader_defines={"WITHOUT_CANONICAL_UVS": 1}))
 
     def seam_pair(self, camera: Camera, size: tuple[int, int], view: str = "lit") -> tuple[Pixels, Pixels]:
         """The same close-up before and after."""
@@ -236,7 +237,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.add_argument("--source", type=Path, metavar="MODEL", help="the file that DIR was built from")
         parser.add_argument("--seam", type=int, default=0, metavar="N", help="which seam to look at, 0 the worst")
         parsed = parser.parse_args(arguments)
+        model = parsed.folder if parsed.folder and parsed.folder.suffix.lower() in MODEL_SUFFIXES else None
         options = options_of(parsed)
+        parsed.source = parsed.source or model
         if parsed.seam < 0:
             raise DemoError(f"--seam counts from 0, not {parsed.seam}")
         if parsed.source is not None and not parsed.source.is_file():

@@ -41,7 +41,7 @@ SURROUNDINGS = {
     errno.ENAMETOOLONG: "choose a shorter name",
     errno.EMFILE: "allow more open files (ulimit -n)",
 }
-EXTRA = ("scipy", "numba", "pygltflib", "rich")  # what `pip install seamskin` alone leaves out
+EXTRA = ("scipy", "numba", "pygltflib", "rich", "mapbox_earcut")  # what `pip install seamskin` alone leaves out
 USAGE = "python -m preprocess MODEL [-o DIR] [options]   or   python -m preprocess COMMAND ... (see -h)"
 
 

@@ -37,6 +37,8 @@ class Settings:
         Joint influences a vertex in model.glb: 4 or 8.
     separate_lods : bool
         Also write each level as a file of its own, model_LOD0.glb …: for engines that pair files, not nodes.
+    ktx2 : bool
+        Also write colours, normals and positions with all their mip levels as ktx2/NAME.ktx2, for other engines.
     keep_borders : float or None
         Colours whose two sides differ by more than this (rms, 0 to 1) along a seam of the artist's own are taken for
         a painted border and left: what is meant to agree seldom differs by a sixth of the range. None: all are joined.
@@ -55,6 +57,7 @@ class Settings:
     exact: bool = False
     influences: int = 4
     separate_lods: bool = False
+    ktx2: bool = False
     keep_borders: float | None = 0.15
     report: bool = False
 

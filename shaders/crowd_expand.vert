@@ -10,11 +10,11 @@ out vec4 joints;
 out vec4 weights;
 
 void main() {
-    rest = rest_position(owner_uv());
+    rest = rest_position(canonical_uv());
     joints = vec4(0.0);
     weights = vec4(0.0);
     vec4 shares;
-    uint record = find_record(owner_uv(), shares);
+    uint record = find_record(canonical_uv(), shares);
     float left = 1.0;
     bool more = true;
     for (int number = 0; more; number++) {

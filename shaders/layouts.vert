@@ -35,7 +35,8 @@ mat3x4 blend_all(vec2 uv, int pose) {
     TexelCell cell = texel_cell(uv, weight_size);
     vec4 shares = texel_shares(cell.fraction);
     return blend_texel(cell.corner, pose, shares.x) + blend_texel(cell.corner + ivec2(1, 0), pose, shares.y)
-         + blend_texel(cell.corner + ivec2(0, 1), pose, shares.z) + blend_texel(cell.corner + ivec2(1, 1), pose, shares.w);
+         + blend_texel(cell.corner + ivec2(0, 1), pose, shares.z) + blend_texel(cell.corner + ivec2(1, 1), pose,
+         shares.w);
 }
 #else
 uniform sampler2D dense_weights;
@@ -47,7 +48,8 @@ mat3x4 blend_all(vec2 uv, int pose) {
         ivec2 at = cell.corner + ivec2(0, layer * weight_size.y);
         vec4 weights = blend_cell(
             texelFetch(dense_weights, at, 0), texelFetch(dense_weights, at + ivec2(1, 0), 0),
-            texelFetch(dense_weights, at + ivec2(0, 1), 0), texelFetch(dense_weights, at + ivec2(1, 1), 0), cell.fraction);
+            texelFetch(dense_weights, at + ivec2(0, 1), 0), texelFetch(dense_weights, at + ivec2(1, 1), 0),
+            cell.fraction);
         blended += joint_matrix(4 * layer, pose) * weights.x + joint_matrix(4 * layer + 1, pose) * weights.y
                  + joint_matrix(4 * layer + 2, pose) * weights.z + joint_matrix(4 * layer + 3, pose) * weights.w;
     }
@@ -56,8 +58,8 @@ mat3x4 blend_all(vec2 uv, int pose) {
 #endif
 
 void main() {
-    vec3 rest = rest_position(owner_uv());
-    mat3x4 pose = blend_all(owner_uv(), in_numbers.x);
+    vec3 rest = rest_position(canonical_uv());
+    mat3x4 pose = blend_all(canonical_uv(), in_numbers.x);
     mat3x4 world = mat3x4(in_world_row0, in_world_row1, in_world_row2);
     vec3 position = transform_point(world, transform_point(pose, rest));
     gl_Position = clip_from_world * vec4(position, 1.0);

@@ -3,16 +3,16 @@
 // A patch is 12 points: 3 corners, then for each edge (from corner k to corner k + 1) the two ends of its owning edge,
 // the one half-edge of the two that meet there at whose uvs both triangles evaluate what lies between (Castaño 2008,
 // "Next-generation hardware rendering of displaced subdivision surfaces"), and then for each corner the copy of it at
-// whose own uv it is fetched; one that is no copy leaves it at its owner's (runtime/gpu/patches.py). An edge's factor comes from these ends and
-// the corners' owners alone, which both triangles have identically, by arithmetic that does not care which end is
-// first: so both divide it alike.
+// whose own uv it is fetched; one that is no copy leaves it at its canonical uv (runtime/gpu/patches.py). An edge's
+// factor comes from these ends and the corners' canonical uvs alone, which both triangles have identically, by
+// arithmetic that does not care which end is first: so both divide it alike.
 #include "include/frame.glsl"
 #include "include/skinning.glsl"
 
 layout(vertices = 3) out;
 
 in vec2 point_uv[];
-in vec2 point_owner_uv[];
+in vec2 point_canonical_uv[];
 #ifdef NORMAL_UV
 in vec2 point_normal_uv[];
 #endif
@@ -23,7 +23,7 @@ in vec4 point_tint[];
 flat in ivec2 point_numbers[];
 
 out vec2 corner_uv[];
-out vec2 corner_owner_uv[];
+out vec2 corner_canonical_uv[];
 #ifdef NORMAL_UV
 out vec2 corner_normal_uv[];
 #endif
@@ -58,16 +58,16 @@ float edge_factor(vec3 a, vec3 b, vec4 edge_uvs) {
 void main() {
     int corner = gl_InvocationID;  // outputs are indexed by the built-in name alone
     mat3x4 world = mat3x4(point_world_row0[corner], point_world_row1[corner], point_world_row2[corner]);
-    vec2 owner = point_owner_uv[corner] == point_owner_uv[9 + corner] ? point_uv[9 + corner] : point_owner_uv[corner];
+    vec2 place = point_canonical_uv[corner] == point_canonical_uv[9 + corner] ? point_uv[9 + corner] : point_canonical_uv[corner];
     corner_uv[gl_InvocationID] = point_uv[corner];
-    corner_owner_uv[gl_InvocationID] = owner;
+    corner_canonical_uv[gl_InvocationID] = place;
 #ifdef NORMAL_UV
     corner_normal_uv[gl_InvocationID] = point_normal_uv[corner];
 #endif
     corner_edge_uvs[gl_InvocationID] = vec4(point_uv[3 + 2 * corner], point_uv[4 + 2 * corner]);
     corner_position[gl_InvocationID] = tessellation.z > 0.0
         ? vec3(0.0)
-        : transform_point(world, transform_point(blend_joints(owner, point_numbers[corner].x), rest_position(owner)));
+        : transform_point(world, transform_point(blend_joints(place, point_numbers[corner].x), rest_position(place)));
     barrier();
     if (corner == 0) {
         patch_world_row0 = point_world_row0[0];

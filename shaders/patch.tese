@@ -1,6 +1,6 @@
 // A point of a tessellated patch: where in the atlas it lies, then as any other point.
 //
-// A corner is evaluated at its owner's uv, a point of an edge at the owning edge's uvs, a point inside at the patch's
+// A corner is evaluated at its canonical uv, a point of an edge at the owning edge's uvs, a point inside at the patch's
 // own. Both triangles of an edge so start from the same bits; ends are put in one order before they are blended, so
 // they also do the same arithmetic, whichever way round they see the edge.
 #ifdef EQUAL_SPACING
@@ -13,7 +13,7 @@ layout(triangles, fractional_odd_spacing, ccw) in;
 #include "include/point_out.glsl"
 
 in vec2 corner_uv[];
-in vec2 corner_owner_uv[];
+in vec2 corner_canonical_uv[];
 #ifdef NORMAL_UV
 in vec2 corner_normal_uv[];
 #endif
@@ -40,12 +40,12 @@ vec2 edge_point(vec2 a, vec2 b, float share_a, float share_b) {
 }
 
 vec2 geometry_place(vec3 at, vec2 own_uv) {
-#ifdef WITHOUT_OWNERS
+#ifdef WITHOUT_CANONICAL_UVS
     return own_uv;
 #else
-    if (at.x == 1.0) return corner_owner_uv[0];
-    if (at.y == 1.0) return corner_owner_uv[1];
-    if (at.z == 1.0) return corner_owner_uv[2];
+    if (at.x == 1.0) return corner_canonical_uv[0];
+    if (at.y == 1.0) return corner_canonical_uv[1];
+    if (at.z == 1.0) return corner_canonical_uv[2];
     if (at.z == 0.0) return edge_point(corner_edge_uvs[0].xy, corner_edge_uvs[0].zw, at.x, at.y);
     if (at.x == 0.0) return edge_point(corner_edge_uvs[1].xy, corner_edge_uvs[1].zw, at.y, at.z);
     if (at.y == 0.0) return edge_point(corner_edge_uvs[2].xy, corner_edge_uvs[2].zw, at.z, at.x);

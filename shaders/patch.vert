@@ -7,7 +7,7 @@ in uvec2 in_normal_uv;  // 65535ths
 #endif
 
 out vec2 point_uv;
-out vec2 point_owner_uv;
+out vec2 point_canonical_uv;
 #ifdef NORMAL_UV
 out vec2 point_normal_uv;
 #endif
@@ -19,7 +19,7 @@ flat out ivec2 point_numbers;
 
 void main() {
     point_uv = own_uv();
-    point_owner_uv = owner_uv();
+    point_canonical_uv = canonical_uv();
 #ifdef NORMAL_UV
     point_normal_uv = uv_of_steps(in_normal_uv);
 #endif

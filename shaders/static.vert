@@ -1,6 +1,6 @@
 // A level of detail as it is: one vertex a corner of its triangles, everything but its uvs fetched from textures.
 //
-// Every copy of a surface point has the same owner uv and so computes the same bits (method: watertight, bit for bit);
+// Every copy of a surface point has the same canonical uv and so computes the same bits (docs/method.md, section 6);
 // the material is sampled at the copy's own uv.
 #include "include/frame.glsl"
 #include "include/instance.glsl"
@@ -13,10 +13,10 @@ in uvec2 in_normal_uv;  // 65535ths
 #endif
 
 void main() {
-#ifdef WITHOUT_OWNERS
+#ifdef WITHOUT_CANONICAL_UVS
     vec2 geometry_uv = own_uv();
 #else
-    vec2 geometry_uv = owner_uv();
+    vec2 geometry_uv = canonical_uv();
 #endif
     emit_point(own_uv(), geometry_uv, mat3x4(in_world_row0, in_world_row1, in_world_row2), in_tint, in_numbers);
 #ifdef NORMAL_UV

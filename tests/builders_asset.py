@@ -1,7 +1,7 @@
 """A small built character made by formula: a closed, skinned, cube-shaped ball with six charts, in the folder's format.
 
 It needs no pipeline, so the runtime is tested alone. Its textures are sampled from the formula and not seam-erased: the
-two sides of every seam sample slightly different positions, which only the owner scheme makes watertight.
+two sides of every seam sample slightly different positions, which only canonical uvs makes watertight.
 """
 
 from __future__ import annotations
@@ -73,19 +73,19 @@ def texel_places(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def lod_mesh(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """uvs, owner uvs (both (N, 2)), triangles (F, 3) and the cube face of each triangle, n x n squares a face."""
+    """uvs, canonical uvs (both (N, 2)), triangles (F, 3) and the cube face of each triangle, n x n squares a face."""
     grid = np.linspace(-1, 1, n + 1)
     s, t = np.meshgrid(grid, grid)
     st = np.stack([s.ravel(), t.ravel()], axis=-1)
     uvs = np.concatenate([chart_origin(face) + (st + 1) / 2 * CHART for face in range(6)])
     cube = np.concatenate([st[:, :1] * AXES[f, 0] + st[:, 1:] * AXES[f, 1] + AXES[f, 2] for f in range(6)])
     _, first, point = np.unique(np.round(cube * n * 4).astype(int), axis=0, return_index=True, return_inverse=True)
-    owner_uvs = uvs[first[point.ravel()]]
+    canonical_uvs = uvs[first[point.ravel()]]
     i, j = np.meshgrid(np.arange(n), np.arange(n))
     a = (j * (n + 1) + i).ravel()
     quads = np.concatenate([np.stack([a, a + 1, a + n + 2], 1), np.stack([a, a + n + 2, a + n + 1], 1)])
     triangles = np.concatenate([quads + face * (n + 1) ** 2 for face in range(6)])
-    return uvs, owner_uvs, triangles, np.repeat(np.arange(6), len(quads))
+    return uvs, canonical_uvs, triangles, np.repeat(np.arange(6), len(quads))
 
 
 class GlbWriter:
@@ -199,14 +199,14 @@ def _write_model(
         nodes.append(node)
     meshes = []
     for level, n in enumerate(sizes):
-        uvs, owner_uvs, triangles, faces = lod_mesh(n)
+        uvs, canonical_uvs, triangles, faces = lod_mesh(n)
         uv_accessor = glb.accessor(uvs.astype(np.float32), "VEC2")
-        owner_accessor = glb.accessor(owner_uvs.astype(np.float32), "VEC2")
+        canonical_accessor = glb.accessor(canonical_uvs.astype(np.float32), "VEC2")
         primitives = []
         for material in sorted(set(face_materials)):
             chosen = triangles[np.isin(faces, [f for f in range(6) if face_materials[f] == material])]
             indices = glb.accessor(chosen.astype(np.uint32).ravel(), "SCALAR")
-            attributes = {"TEXCOORD_0": uv_accessor, "_OWNER_UV": owner_accessor}
+            attributes = {"TEXCOORD_0": uv_accessor, "_OWNER_UV": canonical_accessor}
             primitives.append({"attributes": attributes, "indices": indices, "material": material})
         meshes.append({"primitives": primitives})
         nodes.append({"name": f"ball_LOD{level}", "mesh": level, "skin": 0})

@@ -104,7 +104,7 @@ def test_points_are_found_where_they_are_drawn(
     points = find_drawn_points(asset, mesh, faces, shares)
     wanted = np.einsum("nk,nki->ni", shares, mesh.surface.positions[mesh.surface.faces[faces]])
     positions, _ = fetched_vertices(asset)
-    _, place = np.unique(asset.lods[0].owner_uvs, axis=0, return_inverse=True)
+    _, place = np.unique(asset.lods[0].canonical_uvs, axis=0, return_inverse=True)
     drawn = np.einsum("nk,nki->ni", points.shares, positions[place.ravel()[points.triangles]])
     assert np.linalg.norm(wanted - drawn, axis=1).max() < 1e-3 * mesh.surface.diagonal_m
     assert points.own.mean() > 0.98

@@ -366,8 +366,8 @@ def test_normal_uvs_are_read_as_they_were_written(box: Path) -> None:
     np.testing.assert_allclose(finest.normal_uvs * 65535, np.rint(finest.normal_uvs * 65535), atol=0.01)
     assert 1 / 128 < np.abs(finest.normal_uvs - finest.uvs).max() < 3 / 128
     # 26 points of a grid of 2 cells a side; 4 more where seams part them, and a copy on each hard edge.
-    assert len(np.unique(finest.owner_uvs, axis=0)) == 26
-    split = np.unique(np.c_[finest.uvs, finest.owner_uvs], axis=0)
+    assert len(np.unique(finest.canonical_uvs, axis=0)) == 26
+    split = np.unique(np.c_[finest.uvs, finest.canonical_uvs], axis=0)
     assert len(finest.uvs) == len(split) + 5 * 3
 
 

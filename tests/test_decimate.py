@@ -69,7 +69,7 @@ def test_levels_are_sound_meshes(case: tuple[TexturedSurface, Chain]) -> None:
     surface, chain = case
     for lod in chain.lods:
         lod.surface.validate()
-        assert lod.owner_uvs.shape == (len(lod.positions),)
+        assert lod.canonical_uvs.shape == (len(lod.positions),)
         # Compact, no face twice, each directed edge once: an oriented manifold.
         assert len(np.unique(lod.faces)) == len(lod.positions)
         assert len(np.unique(lod.face_uvs)) == len(lod.uvs)
@@ -77,7 +77,7 @@ def test_levels_are_sound_meshes(case: tuple[TexturedSurface, Chain]) -> None:
         assert len(np.unique(edges, axis=0)) == len(edges)
         # Every surface vertex is owned by one of its own copies.
         copies = set(zip(lod.faces.ravel().tolist(), lod.face_uvs.ravel().tolist(), strict=True))
-        assert all((vertex, int(owner)) in copies for vertex, owner in enumerate(lod.owner_uvs))
+        assert all((vertex, int(owner)) in copies for vertex, owner in enumerate(lod.canonical_uvs))
         assert len(np.unique(lod.face_source)) == lod.num_faces
         assert 0 <= lod.face_source.min() and lod.face_source.max() < len(surface.faces)
 
@@ -148,7 +148,7 @@ def test_errors_grow_and_faces_fall(case: tuple[TexturedSurface, Chain]) -> None
 def test_two_runs_agree_to_the_bit(case: tuple[TexturedSurface, Chain]) -> None:
     surface, chain = case
     for lod, again in zip(chain.lods, decimate(surface, EXACT).lods, strict=True):
-        for name in ("uvs", "face_uvs", "faces", "owner_uvs", "face_source", "positions"):
+        for name in ("uvs", "face_uvs", "faces", "canonical_uvs", "face_source", "positions"):
             assert getattr(lod, name).tobytes() == getattr(again, name).tobytes()
         assert (lod.error_m, lod.mean_error_m) == (again.error_m, again.mean_error_m)
 

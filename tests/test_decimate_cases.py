@@ -144,7 +144,7 @@ def test_drawn_position_is_the_textures() -> None:
     from preprocess.mesh.texels import sample_bilinear
 
     for lod in decimate(surface, replace(EXACT, lifted=False), position_texture=texture).lods:
-        np.testing.assert_array_equal(lod.positions, sample_bilinear(texture, lod.uvs[lod.owner_uvs]))
+        np.testing.assert_array_equal(lod.positions, sample_bilinear(texture, lod.uvs[lod.canonical_uvs]))
 
 
 def test_poses_keep_what_bends() -> None:

@@ -28,7 +28,7 @@ def skinned_levels(asset: Asset) -> list[tuple[np.ndarray, np.ndarray, np.ndarra
     stored = unpack_weights(asset.textures["weights"].levels[0], asset.weight_size, asset.num_joints)
     levels = []
     for mesh in asset.lods:
-        places, point = np.unique(mesh.owner_uvs, axis=0, return_inverse=True)
+        places, point = np.unique(mesh.canonical_uvs, axis=0, return_inverse=True)
         places = places.astype(np.float64)
         faces = point.ravel()[mesh.triangles.astype(np.int64)].astype(np.int32)
         levels.append((sample_bilinear(texels, places), sample_weights(stored, asset.weight_details, places), faces))

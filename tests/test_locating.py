@@ -7,7 +7,7 @@ import pytest
 
 from preprocess.decimate import Lod
 from preprocess.fit.corner_locations import locate_corners
-from preprocess.fit.level_geometry import _locate_owners
+from preprocess.fit.level_geometry import _locate_canonical
 from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
 
 
@@ -44,18 +44,18 @@ def level() -> Lod:
         uvs=np.array([(0.48, 0.48), (0.58, 0.56), (0.58, 0.58)]),
         face_uvs=triangle,
         faces=triangle,
-        owner_uvs=np.arange(3, dtype=np.int32),
+        canonical_uvs=np.arange(3, dtype=np.int32),
         face_source=np.array([1], np.int32),
         positions=np.array([(0.48, 0.48, 0.3), (1.0, 0.1, 0.0), (1.0, 0.2, 0.0)]),
         error_m=0.0,
     )
 
 
-def test_weights_are_those_at_the_owners_uvs(full: SkinnedMesh, level: Lod) -> None:
-    (owners,) = _locate_owners(full, [level])
-    np.testing.assert_allclose(owners.blend(full.dense_weights(2)), [(1, 0), (0, 1), (0, 1)], atol=1e-12)
+def test_weights_are_those_at_the_canonical_uvs(full: SkinnedMesh, level: Lod) -> None:
+    (canonical,) = _locate_canonical(full, [level])
+    np.testing.assert_allclose(canonical.blend(full.dense_weights(2)), [(1, 0), (0, 1), (0, 1)], atol=1e-12)
     beneath = [(0.48, 0.48, 0.0), (1.0, 0.1, 0.0), (1.0, 0.2, 0.0)]
-    np.testing.assert_allclose(owners.blend(full.surface.positions), beneath, atol=1e-12)
+    np.testing.assert_allclose(canonical.blend(full.surface.positions), beneath, atol=1e-12)
 
 
 def test_corners_are_found_in_a_large_face_without_a_corner_nearby(full: SkinnedMesh, level: Lod) -> None:

@@ -88,7 +88,7 @@ def drawn(asset: Asset) -> list[Any]:
     skeleton = asset.skeleton
     arrays = [level for name in sorted(asset.textures) for level in asset.textures[name].levels]
     for lod in asset.lods:
-        arrays += [lod.uvs, lod.owner_uvs, lod.triangles]
+        arrays += [lod.uvs, lod.canonical_uvs, lod.triangles]
     arrays += [skeleton.parents, skeleton.translation, skeleton.rotation, skeleton.scale, skeleton.inverse_bind]
     arrays += [track.values for clip in asset.clips for track in clip.tracks]
     details = asset.weight_details

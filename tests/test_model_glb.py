@@ -39,10 +39,10 @@ validator.validateBytes(new Uint8Array(fs.readFileSync(file)), {maxIssues: 50,
 def full_lod(character: Character) -> Lod:
     """The full mesh as a level; the first texture vertex of each surface vertex owns it."""
     surface = character.mesh.surface
-    owners = np.zeros(len(surface.positions), np.int32)
-    owners[surface.faces.ravel()[::-1]] = surface.face_uvs.ravel()[::-1]
+    canonical = np.zeros(len(surface.positions), np.int32)
+    canonical[surface.faces.ravel()[::-1]] = surface.face_uvs.ravel()[::-1]
     sources = np.arange(len(surface.faces), dtype=np.int32)
-    return Lod(surface.uvs, surface.face_uvs, surface.faces, owners, sources, surface.positions)
+    return Lod(surface.uvs, surface.face_uvs, surface.faces, canonical, sources, surface.positions)
 
 
 def half_lod(lod: Lod) -> Lod:
@@ -53,7 +53,7 @@ def half_lod(lod: Lod) -> Lod:
         lod,
         faces=faces.reshape(-1, 3).astype(np.int32),
         face_uvs=lod.face_uvs[kept],
-        owner_uvs=lod.owner_uvs[vertices],
+        canonical_uvs=lod.canonical_uvs[vertices],
         positions=lod.positions[vertices],
         face_source=lod.face_source[kept],
     )
@@ -194,7 +194,7 @@ def test_hard_edges_stay_hard(name: str, tmp_path: Path) -> None:
     character = load_character(source_of(name, tmp_path))
     lod = full_lod(character)
     level = build_lod_mesh(
-        character.mesh, character.skeleton.num_joints, lod.surface, lod.owner_uvs, lod.face_source, 4
+        character.mesh, character.skeleton.num_joints, lod.surface, lod.canonical_uvs, lod.face_source, 4
     )
     difference = np.linalg.norm(level.normals[level.faces] - character.mesh.corner_normals, axis=2)
     assert np.mean(difference < 2e-3) > 0.99
@@ -249,15 +249,15 @@ def test_screen_coverage_says_when_a_coarser_level_will_do() -> None:
     assert screen_coverage([lod, lod], 2.0) == []
 
 
-def test_owner_uvs_tell_the_topology(tmp_path: Path) -> None:
-    """Copies of a surface vertex share the bits of their owner's uv, and no two surface vertices do."""
+def test_canonical_uvs_tell_the_topology(tmp_path: Path) -> None:
+    """Copies of a surface vertex share the bits of their canonical uv, and no two surface vertices do."""
     character = load_character(asset("human.glb"))
     document = written(character, tmp_path / "model.glb")
     primitive = document.items("meshes")[0]["primitives"][0]
-    owners = document.accessor(primitive["attributes"]["_OWNER_UV"])
+    canonical = document.accessor(primitive["attributes"]["_OWNER_UV"])
     positions = document.accessor(primitive["attributes"]["POSITION"])
-    both = np.unique(np.concatenate([owners, positions], axis=1), axis=0)
-    assert len(both) == len(np.unique(owners, axis=0)) == character.mesh.num_vertices
+    both = np.unique(np.concatenate([canonical, positions], axis=1), axis=0)
+    assert len(both) == len(np.unique(canonical, axis=0)) == character.mesh.num_vertices
 
 
 def test_colors_painted_at_the_places_of_normals_are_read_there(tmp_path: Path) -> None:

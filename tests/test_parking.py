@@ -10,7 +10,7 @@ import pytest
 from preprocess.decimate import Lod
 from preprocess.fit import spare_texels as parking
 from preprocess.fit.spare_texels import _along_curve, free_texels, lie_beyond, park_vertices
-from preprocess.mesh.texels import sample_bilinear, snap_owner_uvs
+from preprocess.mesh.texels import sample_bilinear, snap_canonical_uvs
 from preprocess.settings import PARK_REL
 from runtime.asset.texel_footprint import touched_cells
 
@@ -29,7 +29,7 @@ def crowded_level(seed: int = 0) -> Lod:
         uvs=uvs,
         face_uvs=faces,
         faces=faces,
-        owner_uvs=np.arange(13, dtype=np.int32),
+        canonical_uvs=np.arange(13, dtype=np.int32),
         face_source=np.zeros(12, np.int32),
         positions=rng.normal(size=(13, 3)),
         error_m=0.0,
@@ -40,15 +40,15 @@ def test_parked_vertices_are_exact_and_others_stay() -> None:
     lod = crowded_level()
     texels = np.random.default_rng(1).normal(size=(*SIZE, 3)).astype(np.float32)
     wanted = lod.positions.copy()
-    wanted[5] = sample_bilinear(texels, snap_owner_uvs(lod.uvs[5:6]))[0]  # one that the texture has right
+    wanted[5] = sample_bilinear(texels, snap_canonical_uvs(lod.uvs[5:6]))[0]  # one that the texture has right
     stored, (fitted,) = park_vertices(texels, [lod], wanted, 1.0, [ALIKE], WEIGHT_SIZE)
     assert fitted.fetch_uvs is not None
     fetched = sample_bilinear(stored, fitted.fetch_uvs)
     assert np.array_equal(fetched, fitted.positions)
     assert np.abs(fetched - wanted).max() < 1e-5 and fitted.error_m < 1e-5
-    assert np.array_equal(fitted.fetch_uvs[5], snap_owner_uvs(lod.uvs)[5])
+    assert np.array_equal(fitted.fetch_uvs[5], snap_canonical_uvs(lod.uvs)[5])
     assert len(np.unique(fitted.fetch_uvs, axis=0)) == 13
-    assert np.array_equal(snap_owner_uvs(fitted.fetch_uvs), fitted.fetch_uvs)
+    assert np.array_equal(snap_canonical_uvs(fitted.fetch_uvs), fitted.fetch_uvs)
 
 
 def test_nothing_that_triangles_read_changes() -> None:
@@ -108,12 +108,12 @@ def test_where_room_is_short_those_that_no_weights_would_suit_go_first(monkeypat
     beyond = np.array([(0.01, 0.01), (0.02, 0.01)])
     uvs = np.r_[full.uvs[:-2], beyond]
     texels = np.random.default_rng(1).normal(size=(*SIZE, 3)).astype(np.float32)
-    right = [sample_bilinear(texels, snap_owner_uvs(places)) for places in (full.uvs, beyond)]
+    right = [sample_bilinear(texels, snap_canonical_uvs(places)) for places in (full.uvs, beyond)]
     coarse = dataclasses.replace(full, uvs=uvs, positions=np.r_[full.positions[:-2], right[1]])
     weights = [np.tile((1.0, 0.0), (13, 1)), np.r_[np.tile((1.0, 0.0), (12, 1)), [(0.0, 1.0)]]]
     _, (_, fitted) = park_vertices(texels, [full, coarse], right[0], 1.0, weights, WEIGHT_SIZE)
     assert fitted.fetch_uvs is not None
-    moved = (fitted.fetch_uvs != snap_owner_uvs(uvs)).any(axis=1)
+    moved = (fitted.fetch_uvs != snap_canonical_uvs(uvs)).any(axis=1)
     assert np.flatnonzero(moved).tolist() == [11, 12]
 
 

@@ -36,7 +36,7 @@ def in_words(asset: Asset) -> Asset:
 
 def test_all_formats_are_the_same_places(ctx: moderngl.Context, ball: Asset) -> None:
     asset = in_words(ball)
-    expected = sample_bilinear(asset.textures["position"].levels[0], asset.lods[0].owner_uvs.astype(np.float64))
+    expected = sample_bilinear(asset.textures["position"].levels[0], asset.lods[0].canonical_uvs.astype(np.float64))
     size, nbytes = float(np.ptp(expected, axis=0).max()), {}
     for form, allowed in {"words": 1e-6, "unorm16": 2.0 / 65535, "float32": 1e-6}.items():
         model = Model(ctx, asset, position_format=form)

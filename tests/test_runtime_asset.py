@@ -38,13 +38,13 @@ def test_what_is_read_is_what_was_written(folder: Path) -> None:
     assert (asset.name, asset.num_joints, len(asset.lods), len(asset.clips)) == ("ball", 4, 2, 1)
     assert asset.textures["normal"].size == (32, 32) and len(asset.textures["normal"].levels) == 3
     assert asset.textures["base_color"].levels[1].dtype == np.uint8
-    uvs, owner_uvs, triangles, _ = lod_mesh(6)
+    uvs, canonical_uvs, triangles, _ = lod_mesh(6)
     mesh = asset.lods[0]
     assert len(mesh.triangles) == len(triangles) and len(mesh.uvs) == len(uvs)
-    read = np.concatenate([mesh.uvs[mesh.triangles], mesh.owner_uvs[mesh.triangles]], axis=2).reshape(-1, 12)
-    written = np.concatenate([uvs[triangles], owner_uvs[triangles]], axis=2).reshape(-1, 12).astype(np.float32)
+    read = np.concatenate([mesh.uvs[mesh.triangles], mesh.canonical_uvs[mesh.triangles]], axis=2).reshape(-1, 12)
+    written = np.concatenate([uvs[triangles], canonical_uvs[triangles]], axis=2).reshape(-1, 12).astype(np.float32)
     assert (np.unique(read, axis=0) == np.unique(written, axis=0)).all()  # drawn in another order
-    assert len(np.unique(mesh.owner_uvs, axis=0)) == 6 * 6 * 6 + 2  # points of a cube's grid
+    assert len(np.unique(mesh.canonical_uvs, axis=0)) == 6 * 6 * 6 + 2  # points of a cube's grid
 
 
 @pytest.mark.parametrize(

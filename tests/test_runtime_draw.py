@@ -76,8 +76,8 @@ def test_positions_follow_the_textures_to_float_rounding(scene: Scene, ball: Ass
     low, high = texels.min(axis=(0, 1)), texels.max(axis=(0, 1))
     texels = np.rint((texels - low) / (high - low) * 65535) / 65535 * (high - low) + low
     weights = unpack_weights(ball.textures["weights"].levels[0], ball.weight_size, ball.num_joints)
-    rest = sample_bilinear(texels, mesh.owner_uvs)
-    blended = np.einsum("vj,jrc->vrc", sample_bilinear(weights, mesh.owner_uvs), rows[0].astype(np.float64))
+    rest = sample_bilinear(texels, mesh.canonical_uvs)
+    blended = np.einsum("vj,jrc->vrc", sample_bilinear(weights, mesh.canonical_uvs), rows[0].astype(np.float64))
     expected = np.einsum("vrc,vc->vr", blended[:, :, :3], rest) + blended[:, :, 3]
     assert np.abs(drawn - expected[mesh.triangles.ravel()]).max() < 3e-6
 

@@ -258,7 +258,7 @@ def ball(tmp_path_factory: pytest.TempPathFactory) -> Asset:
     shares = np.array([(i, j, 8 - i - j) for i in range(9) for j in range(9 - i)]) / 8
     lods = []
     for mesh in asset.lods:
-        corners = sample_bilinear(texels, mesh.owner_uvs)[mesh.triangles]
+        corners = sample_bilinear(texels, mesh.canonical_uvs)[mesh.triangles]
         uvs = np.einsum("sk,fkc->fsc", shares, mesh.uvs[mesh.triangles].astype(float)).reshape(-1, 2)
         face = np.argmin([np.abs(uvs - chart_origin(f) - CHART / 2).max(axis=1) for f in range(6)], axis=0)
         origins = np.array([chart_origin(f) for f in range(6)])[face]
@@ -369,9 +369,9 @@ def test_bounds_hold_every_vertex_of_every_moment(ctx: moderngl.Context, ball: A
     mesh = ball.lods[0]
     from preprocess.fit.weight_stack import unpack_weights
 
-    rest = sample_bilinear(ball.textures["position"].levels[0], mesh.owner_uvs)
+    rest = sample_bilinear(ball.textures["position"].levels[0], mesh.canonical_uvs)
     stored = unpack_weights(ball.textures["weights"].levels[0], ball.weight_size, ball.num_joints)
-    weights = sample_bilinear(stored, mesh.owner_uvs)
+    weights = sample_bilinear(stored, mesh.canonical_uvs)
     for time_s in np.linspace(0, 1, 7):
         rows = model.actor(clip="bend", time_s=float(time_s)).joint_rows[None].astype(float)
         blended = np.einsum("vj,jrc->vrc", weights, rows[0])

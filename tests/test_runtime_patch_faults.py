@@ -82,18 +82,18 @@ def test_edges_of_faulty_faces_stay_whole_seen_from_both_sides() -> None:
 
 
 def test_corners_are_fetched_at_one_copy_whichever_face_asks() -> None:
-    """Two triangles over a seam: copies of a point have one owner, and the copy with the smallest uvs is its place."""
+    """Two triangles over a seam: the smallest uvs among a point's copies are its place."""
     uvs = np.array([[0.1, 0.1], [0.4, 0.1], [0.1, 0.4], [0.6, 0.1], [0.3, 0.4], [0.9, 0.9]], np.float32)
-    owners = np.array([[0.1, 0.1], [0.8, 0.2], [0.8, 0.3], [0.8, 0.2], [0.8, 0.3], [0.9, 0.9]], np.float32)
-    copies = surface_copies(uvs, owners)
+    canonical = np.array([[0.1, 0.1], [0.8, 0.2], [0.8, 0.3], [0.8, 0.2], [0.8, 0.3], [0.9, 0.9]], np.float32)
+    copies = surface_copies(uvs, canonical)
     assert copies.tolist() == [0, 1, 2, 1, 2, 5]
     triangles = np.array([[0, 1, 2], [4, 3, 5]], np.uint32)
     moved = np.array([True, True, False, True, False, False])
-    patches = place_corners(build_patches(uvs, owners, triangles), copies, moved)
+    patches = place_corners(build_patches(uvs, canonical, triangles), copies, moved)
     assert patches.shape == (2, 12)
-    places = corner_uvs(uvs, owners, patches)
-    assert np.array_equal(places[0], [uvs[0], uvs[1], owners[2]])
-    assert np.array_equal(places[1], [owners[2], uvs[1], owners[5]])
+    places = corner_uvs(uvs, canonical, patches)
+    assert np.array_equal(places[0], [uvs[0], uvs[1], canonical[2]])
+    assert np.array_equal(places[1], [canonical[2], uvs[1], canonical[5]])
 
 
 def test_a_corner_off_the_surface_does_not_count_where_it_is_drawn_on_it() -> None:

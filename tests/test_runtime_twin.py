@@ -142,14 +142,14 @@ def test_static_levels(model: Model, skinning: str) -> None:
     twin = Twin(asset, min(1, len(asset.clips) - 1), 0.3, skinning)
     for level, mesh in enumerate(asset.lods):
         positions, turns = captured_vertices(model, twin, level)
-        wanted, wanted_turns = twin.points(mesh.owner_uvs.astype(np.float64)[mesh.triangles.ravel()])
+        wanted, wanted_turns = twin.points(mesh.canonical_uvs.astype(np.float64)[mesh.triangles.ravel()])
         assert np.abs(positions - wanted).max() < ROUNDING * diagonal_of(asset), level
         assert np.abs(turns - wanted_turns).max() < 2e-5 * np.abs(wanted_turns).max(), level
 
 
 def places_of(mesh: Any, patches: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Where points (N, 12) of tessellated patches are fetched: the twin of patch.tese."""
-    corners = corner_uvs(mesh.uvs, mesh.owner_uvs, patches)
+    corners = corner_uvs(mesh.uvs, mesh.canonical_uvs, patches)
 
     def keys(uvs: np.ndarray) -> list[tuple[int, ...]]:
         return [tuple(row) for row in np.rint(uvs.astype(np.float64) * KEY_STEPS).astype(int).reshape(-1, 6).tolist()]

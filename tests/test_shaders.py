@@ -19,14 +19,20 @@ from runtime.render.views import LINES, VIEWS
 SHADERS = Path(__file__).resolve().parent.parent / "shaders"
 BLOCK = {"JOINT_BLOCK_ROWS": 1020}
 VARIANTS: dict[str, list[dict[str, str | int]]] = {
-    "static.vert": [{}, {"SHOW_WEIGHTS": 1}, {"WITHOUT_OWNERS": 1}, {"DUAL_QUATERNIONS": 1}],
-    "patch.tese": [{}, {"SHOW_WEIGHTS": 1}, {"WITHOUT_OWNERS": 1}, {"EQUAL_SPACING": 1}, {"DUAL_QUATERNIONS": 1}],
+    "static.vert": [{}, {"SHOW_WEIGHTS": 1}, {"WITHOUT_CANONICAL_UVS": 1}, {"DUAL_QUATERNIONS": 1}],
+    "patch.tese": [
+        {},
+        {"SHOW_WEIGHTS": 1},
+        {"WITHOUT_CANONICAL_UVS": 1},
+        {"EQUAL_SPACING": 1},
+        {"DUAL_QUATERNIONS": 1},
+    ],
     "patch.tesc": [{}, {"DUAL_QUATERNIONS": 1}],
     "attributes.vert": [BLOCK],
     "layouts.vert": [{"LAYOUT_LISTS": 1, "LISTS": 2}, {"LAYOUT_DENSE": 1, "LAYERS": 14}],
     "crowd.vert": [{}, {"EIGHT_JOINTS": 1}, {"PLACED": 1}, {"SHOW_WEIGHTS": 1}],
 }
-NORMALS, STEPS, WIDE = {"NORMAL_UV": 1}, {"UV_STEPS": 1, "OWNER_STEPS": 1, "POSITION_WORDS": 1}, {"WIDE_JOINTS": 1}
+NORMALS, STEPS, WIDE = {"NORMAL_UV": 1}, {"UV_STEPS": 1, "CANONICAL_STEPS": 1, "POSITION_WORDS": 1}, {"WIDE_JOINTS": 1}
 SOLID = {"NO_CUTOUT": 1, "NO_BLEND": 1, "NO_EMISSION": 1}
 LACKS = [
     {"NO_CUTOUT": 1},

@@ -39,7 +39,7 @@ def a_level(uvs: np.ndarray) -> Lod:
         uvs=uvs,
         face_uvs=FACES,
         faces=FACES,
-        owner_uvs=np.arange(len(uvs), dtype=np.int32),
+        canonical_uvs=np.arange(len(uvs), dtype=np.int32),
         face_source=np.zeros(len(FACES), np.int32),
         positions=np.zeros((len(uvs), 3)),
         error_m=0.0,
@@ -94,15 +94,15 @@ def test_a_vertex_takes_eight_bytes_in_steps_and_sixteen_in_floats() -> None:
         ("own", fine, coarse),
         ("none", coarse, coarse),
     ]:
-        level = dataclasses.replace(own, owner_uvs=owner.owner_uvs)
+        level = dataclasses.replace(own, canonical_uvs=owner.canonical_uvs)
         attributes = vertex_attributes([level])
         content = vertex_bytes(level, attributes)
         assert [attribute for _, attribute in attributes] == [
             "in_uv_steps" if own is fine else "in_uv",
-            "in_owner_steps" if owner is fine else "in_owner_uv",
+            "in_canonical_steps" if owner is fine else "in_canonical_uv",
         ]
         sizes[name] = len(content) // len(CORNERS)
         assert vertex_attributes([fine, level]) == attributes  # all levels of a model are alike
     assert sizes == {"steps": 8, "owner": 12, "own": 12, "none": 16}
     steps = np.frombuffer(vertex_bytes(fine, vertex_attributes([fine])), np.uint16).reshape(-1, 4)
-    assert np.array_equal((steps / UV_STEPS).astype(np.float32), np.c_[fine.uvs, fine.owner_uvs])
+    assert np.array_equal((steps / UV_STEPS).astype(np.float32), np.c_[fine.uvs, fine.canonical_uvs])

@@ -114,11 +114,11 @@ def release_framebuffer(framebuffer: moderngl.Framebuffer) -> None:
 
 
 def shift_copies(mesh: LodMesh, shift_uv: float) -> LodMesh:
-    """Move the owner uv of every copy that is not its own owner, as rounding would."""
-    owner_uvs = mesh.owner_uvs.copy()
-    copies = (mesh.uvs != mesh.owner_uvs).any(axis=1)
-    owner_uvs[copies] += np.float32(shift_uv)
-    return dataclasses.replace(mesh, owner_uvs=owner_uvs)
+    """Move the canonical uv of every copy that is not at its canonical uv, as rounding would."""
+    canonical_uvs = mesh.canonical_uvs.copy()
+    copies = (mesh.uvs != mesh.canonical_uvs).any(axis=1)
+    canonical_uvs[copies] += np.float32(shift_uv)
+    return dataclasses.replace(mesh, canonical_uvs=canonical_uvs)
 
 
 @pytest.mark.parametrize("lod", [0, 1])
@@ -138,9 +138,9 @@ def test_no_cracks_where_every_edge_has_its_own_factor(ctx: moderngl.Context, ba
     assert sweep(ctx, ball, lod=1, tessellation="auto", seed=4) == 0
 
 
-def test_without_owners_the_same_frames_have_cracks(ctx: moderngl.Context, ball: Asset) -> None:
-    assert sweep(ctx, ball, lod=0, tessellation="off", defines={"WITHOUT_OWNERS": 1}) > 100
-    assert sweep(ctx, ball, lod=1, tessellation=7.0, defines={"WITHOUT_OWNERS": 1}) > 100
+def test_without_canonical_uvs_the_same_frames_have_cracks(ctx: moderngl.Context, ball: Asset) -> None:
+    assert sweep(ctx, ball, lod=0, tessellation="off", defines={"WITHOUT_CANONICAL_UVS": 1}) > 100
+    assert sweep(ctx, ball, lod=1, tessellation=7.0, defines={"WITHOUT_CANONICAL_UVS": 1}) > 100
 
 
 def test_one_side_moved_by_a_millionth_is_seen(ctx: moderngl.Context, ball: Asset) -> None:
@@ -177,8 +177,8 @@ def test_tessellated_points_are_the_same_bits_on_both_sides(
     assert differing_points(points) == (0, 0)
 
 
-def test_without_owners_the_bits_differ(ctx: moderngl.Context, ball: Asset) -> None:
-    points = captured_points(ctx, ball, 5.0, {"WITHOUT_OWNERS": 1})
+def test_without_canonical_uvs_the_bits_differ(ctx: moderngl.Context, ball: Asset) -> None:
+    points = captured_points(ctx, ball, 5.0, {"WITHOUT_CANONICAL_UVS": 1})
     assert differing_points(points)[0] > 50
 
 
@@ -207,7 +207,7 @@ def test_static_copies_are_the_same_bits(ctx: moderngl.Context, ball: Asset) -> 
     release_framebuffer(framebuffer)
     bits = np.frombuffer(out.read(), np.int32).reshape(-1, 3)
     assert np.ptp(bits.view(np.float32), axis=0).min() > 0.5
-    _, owner = np.unique(mesh.owner_uvs, axis=0, return_inverse=True)
+    _, owner = np.unique(mesh.canonical_uvs, axis=0, return_inverse=True)
     corner = owner.ravel()[mesh.triangles.ravel()]
     order = np.argsort(corner, kind="stable")
     same = corner[order[1:]] == corner[order[:-1]]
@@ -219,9 +219,9 @@ def test_static_copies_are_the_same_bits(ctx: moderngl.Context, ball: Asset) -> 
 
 def test_both_patches_of_an_edge_name_the_same_owning_ends(ball: Asset) -> None:
     mesh = ball.lods[0]
-    patches = build_patches(mesh.uvs, mesh.owner_uvs, mesh.triangles)
+    patches = build_patches(mesh.uvs, mesh.canonical_uvs, mesh.triangles)
     assert (patches[:, :3] == mesh.triangles).all()
-    _, point = np.unique(mesh.owner_uvs, axis=0, return_inverse=True)
+    _, point = np.unique(mesh.canonical_uvs, axis=0, return_inverse=True)
     point = point.ravel()
     owners: dict[tuple[int, int], set[tuple[int, int]]] = {}
     for patch in patches.astype(int):
@@ -237,6 +237,6 @@ def test_both_patches_of_an_edge_name_the_same_owning_ends(ball: Asset) -> None:
 def test_assets_are_only_read(ball: Asset, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
     mesh = ball.lods[0]
-    before = mesh.owner_uvs.copy()
+    before = mesh.canonical_uvs.copy()
     shift_copies(mesh, 0.1)
-    assert (mesh.owner_uvs == before).all()
+    assert (mesh.canonical_uvs == before).all()

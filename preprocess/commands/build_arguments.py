@@ -93,6 +93,9 @@ def add_build_arguments(parser: argparse.ArgumentParser) -> None:
         "--separate-lods", action="store_true", help="also write every level of detail as a file of its own"
     )
     parser.add_argument(
+        "--ktx2", action="store_true", help="also write textures with their mip levels as KTX2, for other engines"
+    )
+    parser.add_argument(
         "--keep-borders",
         type=border,
         default=default.keep_borders,
@@ -117,6 +120,7 @@ def settings_from(arguments: argparse.Namespace) -> Settings:
         exact=arguments.exact,
         influences=arguments.influences,
         separate_lods=arguments.separate_lods,
+        ktx2=arguments.ktx2,
         keep_borders=arguments.keep_borders,
         report=arguments.report,
     )

@@ -146,12 +146,12 @@ def measure_asset(asset: Asset) -> Iterator[tuple[str, str, bool]]:
 
 
 def surface_of(asset: Asset, lod: LodMesh) -> TexturedSurface:
-    """A stored level as a mesh: copies with one owner are one surface vertex."""
-    owners, vertex_of = np.unique(lod.owner_uvs, axis=0, return_inverse=True)
+    """A stored level as a mesh: copies with one canonical uv are one surface vertex."""
+    canonical, vertex_of = np.unique(lod.canonical_uvs, axis=0, return_inverse=True)
     uvs, uv_of = np.unique(np.c_[vertex_of.reshape(-1), lod.uvs], axis=0, return_inverse=True)
     position = asset.textures["position"].levels[0]
     return TexturedSurface(
-        sample_bilinear(position, owners.astype(np.float64)),
+        sample_bilinear(position, canonical.astype(np.float64)),
         vertex_of.reshape(-1)[lod.triangles].astype(np.int32),
         uvs[:, 1:].astype(np.float64),
         uv_of.reshape(-1)[lod.triangles].astype(np.int32),

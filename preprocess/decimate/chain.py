@@ -1,4 +1,4 @@
-"""Decimation as a stage: a chain of levels in one continuous run (paper, section 5; method, section 5).
+"""Decimation as a stage: a chain of levels in one continuous run (paper, section 5; docs/method.md, section 5).
 
 Each level is a simplification of the one before: the run goes on from full detail to the floor, and what is left at
 each target is kept. The automatic chain halves the faces from level to level, in three steps where they are few.

@@ -79,7 +79,7 @@ class Lod:
     uvs : (T, 2) float64
     face_uvs : (F, 3) int32, into uvs
     faces : (F, 3) int32, surface vertices: what is welded
-    owner_uvs : (V,) int32
+    canonical_uvs : (V,) int32
         The texture vertex at whose uv every copy of a surface vertex fetches its geometry.
     face_source : (F,) int32
         A face of the full mesh that each face stems from, for its material and part.
@@ -92,18 +92,18 @@ class Lod:
         Mean angle between the normals there; NaN where not measured.
     exact : bool
         Whether every seam of it is a seam of the full mesh, retimed by nothing but rounding.
-    dropped_parts : int
-        Whole parts of the mesh left out because they are smaller than the level's error.
     uv_bound_px : float
         How far seams left their lines, in texels of the finest mip; 0 (rounding aside) where exact.
+    dropped_parts : int
+        Whole parts of the mesh left out because they are smaller than the level's error.
     fetch_uvs : (V, 2) float64 or None
-        Where each surface vertex fetches its geometry, if not at its owner's uv.
+        Where each surface vertex fetches its geometry, if not at its canonical uv.
     """
 
     uvs: Floats
     face_uvs: Ints
     faces: Ints
-    owner_uvs: Ints
+    canonical_uvs: Ints
     face_source: Ints
     positions: Floats
     error_m: float = float("nan")

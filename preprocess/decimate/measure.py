@@ -148,7 +148,7 @@ def measure(reference: Reference, lod: Lod, matrices: Floats | None = None) -> D
         Those that its vertices are drawn with in the poses, without the bind pose; None takes the surface's own.
     """
     num_samples = reference.num_samples
-    posed = _posed(lod.positions, reference.skinning.at(lod.uvs[lod.owner_uvs]) if matrices is None else matrices)
+    posed = _posed(lod.positions, reference.skinning.at(lod.uvs[lod.canonical_uvs]) if matrices is None else matrices)
     samples = sample_mesh(lod.positions, lod.faces, num_samples)
     full, on_full = reference.surface, reference.samples
     means, angles = [], []

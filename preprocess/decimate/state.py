@@ -269,7 +269,7 @@ class Engine:
             uvs=mesh.uv[wedges],
             face_uvs=new_wedge[face_uvs],
             faces=new_vertex[faces],
-            owner_uvs=new_wedge[owners[vertices]],
+            canonical_uvs=new_wedge[owners[vertices]],
             face_source=half_edges.face_source[alive[face_order]],
             positions=positions,
         )

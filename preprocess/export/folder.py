@@ -15,6 +15,7 @@ from preprocess.arrays import Floats
 from preprocess.atlas import Atlas
 from preprocess.decimate import Chain, Lod
 from preprocess.export.glb import build_levels, write_model_glb
+from preprocess.export.ktx2 import write_ktx2
 from preprocess.export.lod_vertices import LodMesh
 from preprocess.export.tangent_normals import atlas_tangents, bake_tangent_normals, has_relief
 from preprocess.files.images import Image, write_image
@@ -27,6 +28,7 @@ from runtime.asset.manifest import SCHEMA
 from runtime.asset.weight_quadtree import WeightDetails, pack_details
 
 MODEL = "model.glb"
+SRGB = ("base_color", "emissive")  # textures whose stored values are sRGB-encoded
 DETAILS = "weight_details.png"
 RELIEF = "tangent_normal.png"  # what model.glb has for the normal texture; the runtime reads the latter
 BOUNDS_MARGIN_REL = 0.005  # of the diagonal: points between vertices follow the position texture, not the faces
@@ -82,6 +84,8 @@ def write_folder(
     lods = chain.lods
     rows = tuple(_row(f"{character.name}_LOD{i}", lod) for i, lod in enumerate(lods))
     entries = {texture.name: _write_texture(folder, texture) for texture in textures}
+    if settings.ktx2:
+        _write_ktx2(folder, textures)
     relief = has_relief(character.materials)
     tangents = atlas_tangents(atlas.mesh) if relief else None
     levels = build_levels(character, atlas.mesh, lods, settings.influences, normal_uvs, tangents)
@@ -172,6 +176,14 @@ def _write_texture(folder: Path, texture: StoredTexture) -> dict[str, Any]:
         "seam": texture.seam,
         **extra,
     }
+
+
+def _write_ktx2(folder: Path, textures: Sequence[StoredTexture]) -> None:
+    """Every texture but the joint weights, whose layout is the runtime's own, with its mip levels in one file."""
+    (folder / "ktx2").mkdir()
+    for texture in textures:
+        if texture.name != "weights":
+            write_ktx2(folder / "ktx2" / f"{texture.name}.ktx2", texture.levels, texture.format, texture.name in SRGB)
 
 
 def _write_details(folder: Path, details: WeightDetails, form: str) -> dict[str, Any]:

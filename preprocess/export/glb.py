@@ -190,7 +190,7 @@ def _describe_mesh(
         "POSITION": buffer.accessor(level.positions, ARRAY_BUFFER, bounds=True),
         "NORMAL": buffer.accessor(level.normals, ARRAY_BUFFER),
         "TEXCOORD_0": _uv_accessor(level.uvs, buffer),
-        "_OWNER_UV": _uv_accessor(level.owner_uvs, buffer),
+        "_OWNER_UV": _uv_accessor(level.canonical_uvs, buffer),
     }
     if level.tangents is not None:
         attributes["TANGENT"] = buffer.accessor(level.tangents, ARRAY_BUFFER)
@@ -242,7 +242,7 @@ def build_levels(
             mesh,
             character.skeleton.num_joints,
             lod.surface,
-            lod.owner_uvs,
+            lod.canonical_uvs,
             lod.face_source,
             influences,
             own_uvs,

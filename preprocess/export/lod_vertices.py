@@ -30,7 +30,7 @@ class LodMesh:
     Attributes
     ----------
     positions, normals : (N, 3) float32
-    uvs, owner_uvs : (N, 2) float32
+    uvs, canonical_uvs : (N, 2) float32
     normal_uvs : (N, 2) uint16 or None
         Where the normal texture is sampled, as whole steps; None where that is at `uvs`.
     joints : (N, K) uint8 or uint16
@@ -44,7 +44,7 @@ class LodMesh:
     positions: NDArray[np.float32]
     normals: NDArray[np.float32]
     uvs: NDArray[np.float32]
-    owner_uvs: NDArray[np.float32]
+    canonical_uvs: NDArray[np.float32]
     normal_uvs: NDArray[np.uint16] | None
     joints: NDArray[np.unsignedinteger]
     weights: NDArray[np.float32]
@@ -129,7 +129,7 @@ def build_lod_mesh(
     mesh: SkinnedMesh,
     num_joints: int,
     level: TexturedSurface,
-    owner_uvs: NDArray[np.integer],
+    canonical_uvs: NDArray[np.integer],
     face_source: NDArray[np.integer],
     num_influences: int,
     normal_uvs: Floats | None = None,
@@ -145,7 +145,7 @@ def build_lod_mesh(
     num_joints : int
     level : TexturedSurface
         Its uvs lie in the same atlas.
-    owner_uvs : (V,) int
+    canonical_uvs : (V,) int
         The texture vertex that owns each surface vertex of the level.
     face_source : (F,) int
         A face of the full mesh that each face stems from.
@@ -154,15 +154,15 @@ def build_lod_mesh(
     normal_uvs : (F, 3, 2) float64, optional
         Where the level's corners sample the normal texture, if not at its uvs.
     fetch_uvs : (V, 2) float64, optional
-        Where each surface vertex fetches its geometry, if not at its owner's uv.
+        Where each surface vertex fetches its geometry, if not at its canonical uv.
     tangents : (F', 3, 4) float64, optional
         Of the full mesh's corners.
     """
     places, corner_points, point_corners = locate_corners(mesh.surface, level, face_source)
     normals, rows = _corner_normals(mesh, level, places, corner_points)
-    # The weights of a surface vertex are those at its owner's place; one that owns no corner takes its first.
+    # The weights of a surface vertex are those at its canonical uv; one that has no corner takes its first.
     point_vertex = level.faces.reshape(-1)[point_corners]
-    owns = level.face_uvs.reshape(-1)[point_corners] == owner_uvs[point_vertex]
+    owns = level.face_uvs.reshape(-1)[point_corners] == canonical_uvs[point_vertex]
     order = np.lexsort((np.arange(len(owns)), ~owns, point_vertex))
     point_of_vertex = np.zeros(len(level.positions), np.int64)
     point_of_vertex[point_vertex[order[::-1]]] = order[::-1]
@@ -183,12 +183,12 @@ def build_lod_mesh(
         columns += list(np.rint(across / SAME_TANGENT).astype(np.int64).T)
     index, corners = group_rows(*columns)
     surface_vertex = vertices[corners]
-    geometry_uvs = level.uvs[owner_uvs] if fetch_uvs is None else fetch_uvs
+    geometry_uvs = level.uvs[canonical_uvs] if fetch_uvs is None else fetch_uvs
     return LodMesh(
         positions=level.positions[surface_vertex].astype(np.float32),
         normals=flat[corners].astype(np.float32),
         uvs=level.uvs[texture_vertices[corners]].astype(np.float32),
-        owner_uvs=geometry_uvs[surface_vertex].astype(np.float32),
+        canonical_uvs=geometry_uvs[surface_vertex].astype(np.float32),
         normal_uvs=None if stored is None else stored[corners],
         joints=joints[surface_vertex].astype(np.uint8 if num_joints <= 256 else np.uint16),
         weights=weights[surface_vertex].astype(np.float32),

@@ -14,7 +14,7 @@ from preprocess.fit.stored_texture import StoredTexture, seam_report
 from preprocess.fit.weight_stack import pack_weights, unpack_weights
 from preprocess.mesh.seams import Seams
 from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
-from preprocess.mesh.texels import snap_owner_uvs
+from preprocess.mesh.texels import snap_canonical_uvs
 
 # The surface between vertices must stay (a change of 1e4 lets it stray two to six times as far); seams are closed as
 # far as that leaves them: at the automatic size to less than a hundredth of a per cent of the diagonal, rms.
@@ -39,11 +39,11 @@ def store_positions(mesh: SkinnedMesh, seams: Seams, side: int | None) -> Stored
     """
     surface = mesh.surface
     expected = vertex_values(mesh, surface.positions)
-    owner_uvs = snap_owner_uvs(surface.uvs)
+    canonical_uvs = snap_canonical_uvs(surface.uvs)
 
     def bake(side: int) -> Positions:
         baked = bake_positions(mesh, (side, side))
-        eraser = plan_erasure(surface, seams, side, side, GEOMETRY_OPTIONS, sample_uvs=owner_uvs)
+        eraser = plan_erasure(surface, seams, side, side, GEOMETRY_OPTIONS, sample_uvs=canonical_uvs)
         erased = eraser.erase(baked, sample_values=expected).texels
         return Positions(baked, erased, float(np.linalg.norm(eraser.measure(erased).rms)), eraser)
 

@@ -65,14 +65,15 @@ class _OnFullMesh:
         return blended
 
 
-def _locate_owners(mesh: SkinnedMesh, lods: Sequence[Lod]) -> list[_OnFullMesh]:
-    """Where the owners of levels' vertices lie on the full mesh: at their uvs, where decimation takes their weights.
+def _locate_canonical(mesh: SkinnedMesh, lods: Sequence[Lod]) -> list[_OnFullMesh]:
+    """Where the canonical uvs of levels' vertices lie on the full mesh: at their uvs, where decimation takes their
+    weights.
 
     Not near their positions, since vertices of coarse levels lie off the surface.
     """
     surface = mesh.surface
     tree = uv_tree(surface.uvs[surface.face_uvs])
-    located = (locate_uvs(tree, lod.uvs[lod.owner_uvs]) for lod in lods)
+    located = (locate_uvs(tree, lod.uvs[lod.canonical_uvs]) for lod in lods)
     return [_OnFullMesh(surface.faces[faces].astype(np.int64), barycentrics) for faces, barycentrics in located]
 
 
@@ -92,7 +93,7 @@ def _locate_full(mesh: SkinnedMesh, lod: Lod) -> _OnFullMesh:
     """The vertices of the full mesh that those of the finest level are: they have the same uvs."""
     surface, scale = mesh.surface, SAME_UV / max(mesh.surface.diagonal_m, 1e-30)
     known = cKDTree(np.c_[surface.uvs, scale * vertex_values(mesh, surface.positions)])
-    _, nearest = known.query(np.c_[lod.uvs[lod.owner_uvs], scale * lod.positions])
+    _, nearest = known.query(np.c_[lod.uvs[lod.canonical_uvs], scale * lod.positions])
     return _at_vertices(_vertices_of_uvs(mesh)[nearest])
 
 
@@ -152,8 +153,8 @@ def _detail(
         [part.blend(values) for part in on_mesh] for values in (mesh.dense_weights(num_joints), surface.positions)
     )
     for values in (weights_of, positions_of):
-        of_owners = values[1 : len(lods)]
-        values += [np.einsum("nk,nkc->nc", shares, part[at]) for part, (at, shares) in zip(of_owners, outside)]
+        of_canonical = values[1 : len(lods)]
+        values += [np.einsum("nk,nkc->nc", shares, part[at]) for part, (at, shares) in zip(of_canonical, outside)]
     errors_rel = [lod.error_m / surface.diagonal_m for lod in lods[1:]]
     allowed = [VERTEX_REL, *(max(VERTEX_REL, LEVEL_SHARE * error_rel) for error_rel in errors_rel)]
     points = WeightPoints(
@@ -216,7 +217,7 @@ def _measured(
     reference = make_reference(mesh.surface, np.einsum("vj,pjik->pvik", mesh.dense_weights(num_joints), rows))
     finished = [lods[0]]
     for lod, before in zip(lods[1:], allowed[1:], strict=True):
-        uvs = lod.uvs[lod.owner_uvs] if lod.fetch_uvs is None else lod.fetch_uvs
+        uvs = lod.uvs[lod.canonical_uvs] if lod.fetch_uvs is None else lod.fetch_uvs
         drawn = (
             sample_bilinear(stored, uvs) if weights.details is None else sample_weights(stored, weights.details, uvs)
         )
@@ -253,7 +254,7 @@ def fit_levels(
         With `fetch_uvs` and the distances of what is drawn.
     """
     by_name = {texture.name: texture for texture in textures}
-    owners = [_locate_full(mesh, lods[0]), *_locate_owners(mesh, lods[1:])]
+    owners = [_locate_full(mesh, lods[0]), *_locate_canonical(mesh, lods[1:])]
     position = by_name["position"]
     full = owners[0].blend(mesh.surface.positions)
     dense = mesh.dense_weights(poses.shape[1])

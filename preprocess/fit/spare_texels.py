@@ -1,8 +1,9 @@
-"""Owner uvs for vertices that the position texture misses: places outside all charts, with a texel of their own.
+"""Canonical uvs for vertices that the position texture misses: places outside all charts, with a texel of their own.
 
 Where more vertices meet in a 2 x 2 cell than it can tell apart, no texture of that size holds them all. But a vertex
-need not fetch its geometry inside its chart: every copy of it fetches at its owner's uv (method, section 6), and any
-place that no triangle reads will do. So the few vertices that stay off are given free texels.
+need not fetch its geometry inside its chart: every copy of it fetches at its canonical uv (docs/method.md, section 6),
+and any place that no triangle reads will do. So the few vertices that stay off are given free texels.
+
 Letters in shapes: V vertices of a level, N parked points.
 """
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from preprocess.arrays import Floats
 from preprocess.decimate import Lod
-from preprocess.mesh.texels import px_to_uv, sample_bilinear, snap_owner_uvs, uv_to_px
+from preprocess.mesh.texels import px_to_uv, sample_bilinear, snap_canonical_uvs, uv_to_px
 from preprocess.settings import PARK_REL
 from runtime.asset.texel_footprint import touched_cells
 
@@ -128,7 +129,7 @@ def park_vertices(
     height, width = texels.shape[:2]
     wanted = [full_positions, *(lod.positions for lod in lods[1:])]
     allowed = [PARK_REL, *(max(PARK_REL, LEVEL_SHARE * lod.error_m / diagonal_m) for lod in lods[1:])]
-    places = [_distinct(snap_owner_uvs(own), own) for own in (lod.uvs[lod.owner_uvs] for lod in lods)]
+    places = [_distinct(snap_canonical_uvs(own), own) for own in (lod.uvs[lod.canonical_uvs] for lod in lods)]
     rows = [np.c_[uvs, positions] for uvs, positions in zip(places, wanted)]
     points, first, point_of = np.unique(np.concatenate(rows), axis=0, return_index=True, return_inverse=True)
     uvs, positions = points[:, :2], points[:, 2:]
@@ -146,7 +147,7 @@ def park_vertices(
     parked = off[: len(free)]
     parked = parked[_alike_together(of_points[parked])]
     log.info("%d of %d points miss, %d of these have a texel of their own", len(off), len(points), len(parked))
-    uvs[parked] = snap_owner_uvs(px_to_uv(free.astype(np.float64), width, height))
+    uvs[parked] = snap_canonical_uvs(px_to_uv(free.astype(np.float64), width, height))
     exact = texels.astype(np.float64)
     for _ in range(STORED_STEPS):
         exact[free[:, 1], free[:, 0]] += positions[parked] - sample_bilinear(exact, uvs[parked])

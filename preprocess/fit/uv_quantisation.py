@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from preprocess.arrays import Floats
 from preprocess.decimate import Lod
 from preprocess.mesh.surface import SkinnedMesh
-from preprocess.mesh.texels import snap_owner_uvs
+from preprocess.mesh.texels import snap_canonical_uvs
 
 
 def snap_mesh(mesh: SkinnedMesh) -> SkinnedMesh:
@@ -45,7 +45,7 @@ def snap_levels(lods: Sequence[Lod]) -> tuple[Lod, ...]:
     lods : sequence of Lod
         Without `fetch_uvs` yet.
     """
-    snapped = (_snapped(lod.uvs, lod.owner_uvs) for lod in lods)
+    snapped = (_snapped(lod.uvs, lod.canonical_uvs) for lod in lods)
     return tuple(lod if uvs is None else dataclasses.replace(lod, uvs=uvs) for lod, uvs in zip(lods, snapped))
 
 
@@ -53,7 +53,7 @@ def _snapped(uvs: Floats, distinct: NDArray[np.integer] | slice) -> Floats | Non
     """The nearest steps, (T, 2); None where uvs leave the atlas, or different ones of some would be one."""
     if uvs.size == 0 or uvs.min() < 0.0 or uvs.max() > 1.0:
         return None
-    snapped = snap_owner_uvs(uvs)
+    snapped = snap_canonical_uvs(uvs)
     before, after = (len(np.unique(part[distinct], axis=0)) for part in (uvs, snapped))
     return snapped if before == after else None
 

@@ -80,6 +80,6 @@ def sample_bilinear(image: FloatArray, uvs: FloatArray) -> NDArray[np.float64]:
 UV_STEPS = 65535  # uvs of vertices, canonical uvs and normal uvs are stored as 16-bit numbers
 
 
-def snap_owner_uvs(uvs: FloatArray) -> NDArray[np.float64]:
+def snap_canonical_uvs(uvs: FloatArray) -> NDArray[np.float64]:
     """Where geometry is fetched for texture vertices: the nearest uv in [0, 1] that 16 bits can say, (N, 2)."""
     return np.rint(np.clip(np.asarray(uvs, np.float64), 0.0, 1.0) * UV_STEPS) / UV_STEPS

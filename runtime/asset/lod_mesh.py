@@ -34,7 +34,7 @@ class LodMesh:
     ----------
     uvs : (N, 2) float32
         Where each vertex samples its material.
-    owner_uvs : (N, 2) float32
+    canonical_uvs : (N, 2) float32
         Where each vertex fetches position and weights; the same bits for every copy of a surface point.
     triangles : (F, 3) uint32, counter-clockwise seen from outside
     draws : tuple of DrawRange, in order, covering all faces
@@ -46,7 +46,7 @@ class LodMesh:
     """
 
     uvs: NDArray[np.float32]
-    owner_uvs: NDArray[np.float32]
+    canonical_uvs: NDArray[np.float32]
     triangles: NDArray[np.uint32]
     draws: tuple[DrawRange, ...]
     error_m: float
@@ -75,12 +75,12 @@ def _merge_vertices(
 
 
 def _read_vertices(document: Document, accessors: tuple[int | None, ...], where: str) -> NDArray[np.float32]:
-    """Uvs, owner uvs and normal uvs of a primitive's vertices, (N, 6); normal uvs are the uvs where there are none."""
-    uvs, owners = (document.accessor(index) for index in accessors[:2] if index is not None)
+    """Uvs, canonical uvs and normal uvs of a primitive's vertices, (N, 6); normal uvs are uvs where there are none."""
+    uvs, canonical = (document.accessor(index) for index in accessors[:2] if index is not None)
     normals = uvs if accessors[2] is None else document.accessor(accessors[2])
-    if uvs.ndim != 2 or uvs.shape[1] != 2 or not uvs.shape == owners.shape == normals.shape:
+    if uvs.ndim != 2 or uvs.shape[1] != 2 or not uvs.shape == canonical.shape == normals.shape:
         raise AssetError(f"{where}: TEXCOORD_0, _OWNER_UV and TEXCOORD_1 do not fit each other: {REBUILD}")
-    vertices = np.concatenate([uvs, owners, normals], axis=1).astype(np.float32)
+    vertices = np.concatenate([uvs, canonical, normals], axis=1).astype(np.float32)
     if not np.isfinite(vertices).all():
         raise AssetError(f"{where} has uvs that are not finite: {REBUILD}")
     return vertices
@@ -119,8 +119,8 @@ def _read_lod(document: Document, mesh_index: Any, where: str, error_m: float) -
     vertices = np.concatenate(arrays)[:, : 6 if has_normal_uvs else 4]
     vertices, merged = _merge_vertices(vertices, np.concatenate(all_triangles))
     normal_uvs = np.ascontiguousarray(vertices[:, 4:]) if has_normal_uvs else None
-    uvs, owners = np.ascontiguousarray(vertices[:, :2]), np.ascontiguousarray(vertices[:, 2:4])
-    return LodMesh(uvs, owners, merged, tuple(draws), error_m, normal_uvs)
+    uvs, canonical = np.ascontiguousarray(vertices[:, :2]), np.ascontiguousarray(vertices[:, 2:4])
+    return LodMesh(uvs, canonical, merged, tuple(draws), error_m, normal_uvs)
 
 
 def read_lods(document: Document, entries: Sequence[LodEntry]) -> tuple[LodMesh, ...]:

@@ -149,9 +149,14 @@ class Manifest:
 
     Attributes
     ----------
+    name : str
+    schema : int
+    joints : tuple of J str
+    bind_bounds : (2, 3) float64
+    joint_bounds : tuple of J boxes (2, 3), None for a joint that moves nothing
+    clip_bounds : dict of str to (2, 3) float64
     entry : ManifestEntry
         What the runtime looks at, typed.
-    joint_bounds : tuple of J boxes (2, 3), None for a joint that moves nothing
     json : dict
         Everything, as in the file.
     """

@@ -75,7 +75,9 @@ class CrowdLevel:
     eight_joints : bool
         Eight joints a vertex, not four.
     places : Texture or None
-        Places of all vertices in all poses, where they are ready-made, with their scale and offset.
+        Places of all vertices in all poses, where they are ready-made.
+    place_scale, place_offset : tuple of three float
+        A place in metres is what `places` holds, times the scale, plus the offset.
     error_m : float
         Of the shape, and of what was simplified here.
     normal_uvs : Buffer or None
@@ -126,7 +128,7 @@ def expand_levels(ctx: moderngl.Context, model: Model) -> list[tuple[Floats, NDA
     try:
         with _small_framebuffer(ctx, gl_state.functions()):
             for lod in model.lods:
-                parts = _expand(ctx, program, lod.mesh.owner_uvs, model.weight_cells.max_records)
+                parts = _expand(ctx, program, lod.mesh.canonical_uvs, model.weight_cells.max_records)
                 joints = np.concatenate([part[:, 3:7] for part in parts], axis=1).astype(np.int64)
                 weights = np.concatenate([part[:, 7:11] for part in parts], axis=1)
                 levels.append((parts[0][:, :3], joints, weights))
@@ -136,12 +138,12 @@ def expand_levels(ctx: moderngl.Context, model: Model) -> list[tuple[Floats, NDA
 
 
 def _expand(
-    ctx: moderngl.Context, program: moderngl.Program, owner_uvs: NDArray[np.float32], num_records: int
+    ctx: moderngl.Context, program: moderngl.Program, canonical_uvs: NDArray[np.float32], num_records: int
 ) -> list[NDArray[np.float32]]:
     """What the shader writes for every vertex, (V, 11), one array a record of a weight cell."""
-    count = len(owner_uvs)
-    places = ctx.buffer(np.ascontiguousarray(owner_uvs).tobytes())
-    array = ctx.vertex_array(program, [(places, "2f4", "in_owner_uv")])
+    count = len(canonical_uvs)
+    places = ctx.buffer(np.ascontiguousarray(canonical_uvs).tobytes())
+    array = ctx.vertex_array(program, [(places, "2f4", "in_canonical_uv")])
     output = ctx.buffer(reserve=max(count, 1) * _EXPANDED_BYTES)
     parts = []
     for number in range(num_records):

@@ -1,7 +1,7 @@
 """Levels of detail on the GPU: vertices, indices of triangles, patches and seams, and what each program reads of them.
 
-A vertex is two uvs: its own, for the material, and its owner's, for the geometry; where a level has hard edges, a third
-lies in a buffer of its own, for the normal. What an actor adds comes as one record an instance.
+A vertex is two uvs: its own, for the material, and its canonical uv, for the geometry; where a level has hard edges, a
+third lies in a buffer of its own, for the normal. What an actor adds comes as one record an instance.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from runtime.gpu.patch_validation import divided_patches, patch_tolerance_m
 from runtime.gpu.patches import seam_edges
 
 INSTANCE = np.dtype([("rows", "<f4", (3, 4)), ("tint", "<f4", 4), ("numbers", "<i4", 2)])
-# Of a vertex: its own uv, then its owner's; as 16-bit steps where these say exactly what all levels have.
+# Of a vertex: its own uv, then its canonical one; as 16-bit steps where these say exactly what all levels have.
 UV_ATTRIBUTES = {
     "uvs": {True: ("2u2", "in_uv_steps"), False: ("2f4", "in_uv")},
-    "owner_uvs": {True: ("2u2", "in_owner_steps"), False: ("2f4", "in_owner_uv")},
+    "canonical_uvs": {True: ("2u2", "in_canonical_steps"), False: ("2f4", "in_canonical_uv")},
 }
-ATTRIBUTE_DEFINES = {"in_uv_steps": "UV_STEPS", "in_owner_steps": "OWNER_STEPS"}
+ATTRIBUTE_DEFINES = {"in_uv_steps": "UV_STEPS", "in_canonical_steps": "CANONICAL_STEPS"}
 NORMAL_ATTRIBUTES = (("2u2", "in_normal_uv"),)
 UV_STEPS = 65535  # uvs in 16 bits count them; moderngl knows no normalised attributes of 16 bits
 INSTANCE_ATTRIBUTES = (
@@ -52,12 +52,16 @@ class GpuLod:
 
     Attributes
     ----------
+    mesh : LodMesh
+        What the buffers were made from.
+    groups : tuple of DrawGroup
+        One draw call each.
     vertices : Buffer
         `vertex_bytes`.
     indices : Buffer
         Of triangles, three each.
     index_size : int
-        Bytes an index, 2 or 4.
+        Bytes per index, 2 or 4.
     attributes : tuple of (format, name)
         What lies in `vertices`, from `vertex_attributes`.
     normal_uvs : Buffer or None
@@ -117,10 +121,10 @@ def vertex_attributes(meshes: Sequence[LodMesh]) -> tuple[tuple[str, str], ...]:
 
 
 def vertex_bytes(mesh: LodMesh, attributes: tuple[tuple[str, str], ...]) -> bytes:
-    """A level's vertices: uv and owner uv, four bytes each in steps and eight in floats."""
+    """A level's vertices: uv and canonical uv, four bytes each in steps and eight in floats."""
     parts = [
         uv_steps(uvs) if name in ATTRIBUTE_DEFINES else uvs
-        for uvs, (_, name) in zip((mesh.uvs, mesh.owner_uvs), attributes, strict=True)
+        for uvs, (_, name) in zip((mesh.uvs, mesh.canonical_uvs), attributes, strict=True)
     ]
     return np.concatenate([np.ascontiguousarray(part).view(np.uint8) for part in parts], axis=1).tobytes()
 
@@ -196,7 +200,7 @@ class Levels:
         """Index buffer of a level's seam edges, None where it has none (made when first asked for)."""
         if level not in self._line_buffers:
             mesh = self.lods[level].mesh
-            indices = seam_edges(mesh.uvs, mesh.owner_uvs, mesh.triangles)
+            indices = seam_edges(mesh.uvs, mesh.canonical_uvs, mesh.triangles)
             if not len(indices):
                 return None
             self._line_buffers[level] = self._keep(index_bytes(mesh, indices))

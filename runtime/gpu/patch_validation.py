@@ -70,7 +70,7 @@ def distance_to_triangles(points: Floats, corners: Floats) -> Floats:
 
 
 def faulty_faces(
-    positions: Floats, uvs: Floats, owner_uvs: Floats, patches: NDArray[np.uint32], error_m: float
+    positions: Floats, uvs: Floats, canonical_uvs: Floats, patches: NDArray[np.uint32], error_m: float
 ) -> NDArray[np.bool_]:
     """Faces with a point further than `error_m` from the flat triangle as it is when whole, or a part backwards.
 
@@ -78,7 +78,7 @@ def faulty_faces(
     ----------
     positions : (H, W, 3) float32
         The position texture, metres.
-    uvs, owner_uvs : (N, 2) float32
+    uvs, canonical_uvs : (N, 2) float32
     patches : (F, 12) uint32
         Points of edges are fetched where the owning edge has them, corners at `runtime.gpu.patches.corner_uvs`.
     error_m : float
@@ -96,11 +96,11 @@ def faulty_faces(
             on_edge = shares[:, (side + 2) % 3] == 0
             ends = shares[on_edge][:, [side, (side + 1) % 3]]
             places[:, on_edge] = np.einsum("sk,fki->fsi", ends, uvs[part[:, 3 + 2 * side : 5 + 2 * side]])
-        at_corners = corner_uvs(uvs, owner_uvs, part)
+        at_corners = corner_uvs(uvs, canonical_uvs, part)
         for corner in range(3):
             places[:, shares[:, corner] == 1] = at_corners[:, corner, None]
         points = _fetch(positions, places)
-        corners = _fetch(positions, owner_uvs[part[:, :3]])
+        corners = _fetch(positions, canonical_uvs[part[:, :3]])
         too_far = (distance_to_triangles(points, corners) > error_m).any(axis=1)
         a, b, c = (points[:, small[:, corner]] for corner in range(3))
         whole = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -146,10 +146,10 @@ def divided_patches(asset: Asset, mesh: LodMesh) -> NDArray[np.uint32]:
     """
     positions = np.asarray(asset.textures["position"].levels[0][:, :, :3], np.float32)
     tolerance_m = patch_tolerance_m(asset, mesh)
-    copies = surface_copies(mesh.uvs, mesh.owner_uvs)
-    shift_m = np.linalg.norm(_fetch(positions, mesh.uvs[copies]) - _fetch(positions, mesh.owner_uvs), axis=-1)
+    copies = surface_copies(mesh.uvs, mesh.canonical_uvs)
+    shift_m = np.linalg.norm(_fetch(positions, mesh.uvs[copies]) - _fetch(positions, mesh.canonical_uvs), axis=-1)
     moved = (shift_m <= tolerance_m) & (mesh is not asset.lods[0])
-    patches = place_corners(build_patches(mesh.uvs, mesh.owner_uvs, mesh.triangles), copies, moved)
-    faulty = faulty_faces(positions, mesh.uvs, mesh.owner_uvs, patches, tolerance_m)
-    _, points = np.unique(mesh.owner_uvs, axis=0, return_inverse=True)
+    patches = place_corners(build_patches(mesh.uvs, mesh.canonical_uvs, mesh.triangles), copies, moved)
+    faulty = faulty_faces(positions, mesh.uvs, mesh.canonical_uvs, patches, tolerance_m)
+    _, points = np.unique(mesh.canonical_uvs, axis=0, return_inverse=True)
     return keep_flat(patches, points.ravel(), faulty)

@@ -1,8 +1,8 @@
 """Topology of a LOD found again from its uvs: patches for tessellation, and seam edges for the diagrams.
 
-Copies of a surface point have the same owner uv, so the surface's edges are pairs of owner uvs. Where the two
-half-edges of an edge have different uvs (a seam), one is made the owner of all that lies between its ends: the one with
-the smaller uvs, read as numbers, which is the same choice whichever triangle asks (Castaño 2008).
+Copies of a surface point have the same canonical uv, so the surface's edges are pairs of canonical uvs. Where the two
+half-edges of an edge have different uvs (a seam), one is made the owning edge of all that lies between its ends: the
+one with the smaller uvs, read as numbers, which is the same choice whichever triangle asks (Castaño 2008).
 A patch ends with three more vertices, which say where its corners are fetched: vertices of coarse levels lie off the
 surface, between which a divided triangle would stand out from its neighbours' points as a spike.
 Letters in shapes: N vertices, F faces, E edges.
@@ -26,12 +26,12 @@ def _words(uvs: NDArray[np.float32]) -> NDArray[np.uint64]:
 
 
 def _half_edges(
-    uvs: NDArray[np.float32], owner_uvs: NDArray[np.float32], triangles: NDArray[np.uint32]
+    uvs: NDArray[np.float32], canonical_uvs: NDArray[np.float32], triangles: NDArray[np.uint32]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.uint64]]:
     """Every half-edge's start and end vertex, the number of its surface edge, and its uvs as a sortable key."""
     corners = triangles.astype(np.int64)
     start, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
-    _, point = np.unique(_words(owner_uvs), return_inverse=True)
+    _, point = np.unique(_words(canonical_uvs), return_inverse=True)
     low, high = np.minimum(point[start], point[end]), np.maximum(point[start], point[end])
     _, edge = np.unique(low.astype(np.int64) * (len(point) + 1) + high, return_inverse=True)
     keys = _words(uvs)
@@ -41,21 +41,21 @@ def _half_edges(
 
 
 def build_patches(
-    uvs: NDArray[np.float32], owner_uvs: NDArray[np.float32], triangles: NDArray[np.uint32]
+    uvs: NDArray[np.float32], canonical_uvs: NDArray[np.float32], triangles: NDArray[np.uint32]
 ) -> NDArray[np.uint32]:
     """Vertices of every patch: 3 corners, then from corner k to corner k + 1 the ends of the owning edge.
 
     Parameters
     ----------
-    uvs, owner_uvs : (N, 2) float32
+    uvs, canonical_uvs : (N, 2) float32
     triangles : (F, 3) uint32
 
     Returns
     -------
     (F, 9) uint32
     """
-    start, end, edge, keys = _half_edges(uvs, owner_uvs, triangles)
-    _, point = np.unique(_words(owner_uvs), return_inverse=True)
+    start, end, edge, keys = _half_edges(uvs, canonical_uvs, triangles)
+    _, point = np.unique(_words(canonical_uvs), return_inverse=True)
     order = np.lexsort((np.arange(len(edge)), keys[:, 1], keys[:, 0], edge))
     is_first = np.ones(len(order), bool)
     is_first[1:] = edge[order[1:]] != edge[order[:-1]]
@@ -72,9 +72,9 @@ def build_patches(
     return patches
 
 
-def surface_copies(uvs: NDArray[np.float32], owner_uvs: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Of each vertex's copies (those with its owner) the one with the smallest uvs, whichever of them asks: (N,)."""
-    _, point = np.unique(_words(owner_uvs), return_inverse=True)
+def surface_copies(uvs: NDArray[np.float32], canonical_uvs: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Of each vertex's copies (with its canonical uv) the one with the smallest uvs, whichever of them asks: (N,)."""
+    _, point = np.unique(_words(canonical_uvs), return_inverse=True)
     order = np.lexsort((np.arange(len(point)), _words(uvs), point))
     first = order[np.r_[True, point[order[1:]] != point[order[:-1]]]]
     return first[point]
@@ -91,8 +91,8 @@ def place_corners(
     copies : (N,) int
         From `surface_copies`.
     moved : (N,) bool
-        Vertices that are fetched at the own uvs of that copy. The others stay at their owner's: a vertex of another
-        point, which is no copy, tells the shader so.
+        Vertices that are fetched at the own uvs of that copy. The others stay at their canonical uv: a vertex of
+        another point, which is no copy, tells the shader so.
     """
     corners = patches[:, :3].astype(np.int64)
     others = np.roll(corners, -1, axis=1)
@@ -100,19 +100,19 @@ def place_corners(
 
 
 def corner_uvs(
-    uvs: NDArray[np.floating], owner_uvs: NDArray[np.floating], patches: NDArray[np.integer]
+    uvs: NDArray[np.floating], canonical_uvs: NDArray[np.floating], patches: NDArray[np.integer]
 ) -> NDArray[np.floating]:
     """Where the corners of patches (F, 12) are fetched, (F, 3, 2): the twin of shaders/patch.tesc."""
     own, place = patches[:, :3].astype(np.int64), patches[:, PLACES].astype(np.int64)
-    is_copy = (owner_uvs[place] == owner_uvs[own]).all(axis=2)
-    return np.asarray(np.where(is_copy[..., None], uvs[place], owner_uvs[own]))
+    is_copy = (canonical_uvs[place] == canonical_uvs[own]).all(axis=2)
+    return np.asarray(np.where(is_copy[..., None], uvs[place], canonical_uvs[own]))
 
 
 def seam_edges(
-    uvs: NDArray[np.float32], owner_uvs: NDArray[np.float32], triangles: NDArray[np.uint32]
+    uvs: NDArray[np.float32], canonical_uvs: NDArray[np.float32], triangles: NDArray[np.uint32]
 ) -> NDArray[np.uint32]:
     """Vertices of the edges along which the atlas is cut, one a side: (E, 2) uint32."""
-    start, end, edge, keys = _half_edges(uvs, owner_uvs, triangles)
+    start, end, edge, keys = _half_edges(uvs, canonical_uvs, triangles)
     lowest = np.full((edge.max() + 1, 2), np.iinfo(np.uint64).max, np.uint64)
     highest = np.zeros((edge.max() + 1, 2), np.uint64)
     for column in range(2):

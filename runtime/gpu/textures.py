@@ -168,10 +168,10 @@ def prepare(asset: Asset, position_format: str = "auto") -> Prepared:
 
 
 def _touched(asset: Asset) -> NDArray[np.bool_]:
-    """Cells of the weight map that any level reads: under its triangles, and where its owners lie."""
+    """Cells of the weight map that any level reads: under its triangles, and at its canonical uvs."""
     touched = np.zeros(np.maximum(np.array(asset.weight_size[::-1]) - 1, 1), bool)
     for mesh in asset.lods:
         touched |= touched_cells(mesh.uvs, mesh.triangles, asset.weight_size)
-        alone = np.repeat(np.arange(len(mesh.owner_uvs))[:, None], 3, axis=1)
-        touched |= touched_cells(mesh.owner_uvs, alone, asset.weight_size)
+        alone = np.repeat(np.arange(len(mesh.canonical_uvs))[:, None], 3, axis=1)
+        touched |= touched_cells(mesh.canonical_uvs, alone, asset.weight_size)
     return touched

@@ -68,7 +68,7 @@ class Renderer(NotCopied):
         How joints are blended. Dual quaternions keep volume in twists; crowds are always blended linearly.
     shader_defines : mapping, optional
         Preprocessor definitions for all programs: `EQUAL_SPACING` tessellates with equal instead of fractional
-        spacing, `WITHOUT_OWNERS` fetches geometry at each copy's own uv (to see what owners are for).
+        spacing, `WITHOUT_CANONICAL_UVS` fetches geometry at each copy's own uv (to see what these are for).
 
     Raises
     ------

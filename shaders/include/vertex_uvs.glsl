@@ -1,5 +1,5 @@
-// A vertex's places in the atlas: its own uv, where it samples its material, and its owner's, where it fetches its geometry:
-// the same bits for every copy of a surface point.
+// A vertex's places in the atlas: its own uv, where it samples its material, and its canonical uv, where it fetches its
+// geometry: the same bits for every copy of a surface point.
 #ifndef VERTEX_UVS_GLSL
 #define VERTEX_UVS_GLSL
 
@@ -22,17 +22,17 @@ vec2 own_uv() {
 }
 #endif
 
-#ifdef OWNER_STEPS
-in uvec2 in_owner_steps;
+#ifdef CANONICAL_STEPS
+in uvec2 in_canonical_steps;
 
-vec2 owner_uv() {
-    return uv_of_steps(in_owner_steps);
+vec2 canonical_uv() {
+    return uv_of_steps(in_canonical_steps);
 }
 #else
-in vec2 in_owner_uv;
+in vec2 in_canonical_uv;
 
-vec2 owner_uv() {
-    return in_owner_uv;
+vec2 canonical_uv() {
+    return in_canonical_uv;
 }
 #endif
 
