@@ -26,7 +26,7 @@ from runtime.asset.packed_positions import read_words
 POSITION_STEPS = 65535  # positions without words lie in GPU memory as 16-bit numbers over their box
 
 
-def distinct_rows(rows: Floats) -> tuple[Indices, Indices]:
+def distinct_rows(rows: NDArray[np.float32]) -> tuple[Indices, Indices]:
     """First of each distinct row of (N, 2) float32, and the number of each row's value."""
     words = np.ascontiguousarray(rows, np.float32).view(np.uint64).ravel()
     _, first, number = np.unique(words, return_index=True, return_inverse=True)
@@ -136,8 +136,8 @@ class Drawn:
 def read_drawn(asset: Asset) -> Drawn:
     """Sample the finest level's vertices."""
     lod = asset.lods[0]
-    first, vertex_of = distinct_rows(lod.owner_uvs)
-    owners = lod.owner_uvs[first].astype(np.float64)
+    first, vertex_of = distinct_rows(lod.canonical_uvs)
+    owners = lod.canonical_uvs[first].astype(np.float64)
     triangles = lod.triangles.astype(np.int64)
     materials = np.zeros(len(triangles), np.int64)
     for draw in lod.draws:

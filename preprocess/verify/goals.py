@@ -20,6 +20,9 @@ NORMAL_RMS_DEG = 1.0
 COLOR_RMS, COLOR_MEAN = 8 / 255, 4 / 255
 FACTOR_RMS, FACTOR_MEAN = 0.05, 0.02
 LEAST_MATCHED = 0.5
+# Normals and colours give way at seams and where the source is finer than the atlas: worth a warning beyond the goal,
+# and another build beyond so many times the goal.
+GROSS = 3.0
 LEAST_POINTS = 8  # of a material: fewer say nothing about what it has in common
 
 
@@ -35,11 +38,14 @@ class Finding:
     text : str
         The figure, its goal, and where it is worst: one line.
     holds : bool
+    is_gross : bool
+        Whether it is so far beyond that another way is worth a build.
     """
 
     kind: str
     text: str
     holds: bool
+    is_gross: bool = False
 
 
 def _percent(value: float) -> str:
@@ -51,8 +57,10 @@ def _of_shape(found: Measurement) -> Iterator[Finding]:
     yield Finding(
         "vertices",
         f"vertices of level 0, posed, are off by {_percent(spread.rms)} of the diagonal rms, "
-        f"{_percent(spread.largest)} at most (goals {_percent(VERTEX_RMS_REL)}, {_percent(VERTEX_MAX_REL)}), worst: {spread.worst}",
+        f"{_percent(spread.largest)} at most (goals {_percent(VERTEX_RMS_REL)}, {_percent(VERTEX_MAX_REL)}), "
+        f"worst: {spread.worst}",
         spread.rms <= VERTEX_RMS_REL and spread.largest <= VERTEX_MAX_REL,
+        spread.rms > VERTEX_RMS_REL or spread.largest > VERTEX_MAX_REL,
     )
     spread = found.middles
     yield Finding(
@@ -60,6 +68,7 @@ def _of_shape(found: Measurement) -> Iterator[Finding]:
         f"middles of divided faces are off by {_percent(spread.rms)} rms (goal {_percent(MIDDLE_RMS_REL)}), "
         f"{_percent(spread.largest)} at most, worst: {spread.worst}",
         spread.rms <= MIDDLE_RMS_REL,
+        spread.rms > GROSS * MIDDLE_RMS_REL,
     )
     spread = found.weights
     yield Finding(
@@ -67,6 +76,7 @@ def _of_shape(found: Measurement) -> Iterator[Finding]:
         f"joint weights at vertices are off by {spread.rms:.3g} rms (goal {WEIGHT_RMS}), {spread.largest:.3g} at most, "
         f"worst: {spread.worst}",
         spread.rms <= WEIGHT_RMS,
+        spread.rms > GROSS * WEIGHT_RMS,
     )
     spread = found.joints
     yield Finding(
@@ -107,6 +117,7 @@ def _of_look(found: Measurement) -> Iterator[Finding]:
         "normals",
         f"normals are off by {rms:.2g} degrees rms (goal {NORMAL_RMS_DEG:g}), most in {worst.format(f'{each:.2g}')}",
         rms <= NORMAL_RMS_DEG,
+        rms > GROSS * NORMAL_RMS_DEG,
     )
     for kind, label, goal_rms, goal_mean, unit in (
         ("base_color", "base colours", COLOR_RMS, COLOR_MEAN, 255.0),
@@ -123,6 +134,7 @@ def _of_look(found: Measurement) -> Iterator[Finding]:
             f"{worst.format(f'{unit * each:.2g}')}; on the mean by {unit * mean:.2g} (goal {unit * goal_mean:.2g}) in "
             f"{shifted}",
             rms <= goal_rms and mean <= goal_mean,
+            rms > GROSS * goal_rms,
         )
 
 

@@ -179,7 +179,7 @@ def _measure_vertices(
         return _place(drawn, _face_of(drawn, int(rows[point])))
 
     vertices = _posed_spread(off, poses.names, scale, where)
-    if found.unseen_m * scale > vertices.largest:
+    if found.unseen_m * scale > 2.0 * vertices.largest:
         face = int((source.mesh.surface.faces == found.unseen).any(axis=1).argmax())
         name = source.character.materials[int(source.mesh.face_materials[face])].name
         vertices = Spread(

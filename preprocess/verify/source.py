@@ -77,10 +77,8 @@ class Source:
         np.add.at(dense, (rows, mesh.joint_indices[vertices].ravel()), mesh.joint_weights[vertices].ravel())
         return dense
 
-    def _texcoords(self, ref: TextureRef, faces: Indices) -> Floats | None:
-        """What a texture is looked up with at the corners of faces, (N, 3, 2); None without such a set."""
-        if ref.texcoord >= self.mesh.corner_texcoords.shape[2]:
-            return None
+    def _texcoords(self, ref: TextureRef, faces: Indices) -> Floats:
+        """What a texture is looked up with at the corners of faces, (N, 3, 2)."""
         uvs = self.mesh.corner_texcoords[faces, :, ref.texcoord]
         ones = np.ones((*uvs.shape[:2], 1))
         return np.einsum("ij,nkj->nki", ref.transform[:2], np.concatenate([uvs, ones], axis=2))
@@ -90,9 +88,16 @@ class Source:
 
         `steps` (N, 2, 3): change of the barycentric coordinates over one stored texel right and down.
         """
-        corners = None if ref is None else self._texcoords(ref, faces)
-        if ref is None or corners is None:
-            return np.ones((len(faces), 4))
+        values = np.ones((len(faces), 4))
+        if ref is None:
+            return values
+        seen = np.flatnonzero(self.mesh.has_texcoords(ref.texcoord)[faces])
+        if len(seen):
+            values[seen] = self._averaged(ref, faces[seen], shares[seen], steps[seen], is_color)
+        return values
+
+    def _averaged(self, ref: TextureRef, faces: Indices, shares: Floats, steps: Floats, is_color: bool) -> Floats:
+        corners = self._texcoords(ref, faces)
         middle = np.einsum("nk,nkc->nc", shares, corners)
         along = np.einsum("ndk,nkc->ndc", steps, corners)
         uvs = middle[:, None] + np.einsum("td,ndc->ntc", TENT, along)
@@ -154,9 +159,14 @@ class Source:
 
         def shader(material: Material, rows: Indices) -> Floats:
             n = smooth[rows]
-            corners = None if material.normal is None else self._texcoords(material.normal, faces[rows])
-            if corners is None:
+            if material.normal is None:
                 return n
+            seen = self.mesh.has_texcoords(material.normal.texcoord)[faces[rows]]
+            if not seen.all():
+                n = n.copy()
+                n[seen] = shader(material, rows[seen]) if seen.any() else n[seen]
+                return n
+            corners = self._texcoords(material.normal, faces[rows])
             local = self.texture(material.normal, faces[rows], shares[rows], steps[rows], False)[:, :3] * 2.0 - 1.0
             local[:, :2] *= material.normal_scale
             t, b = self._frame(faces[rows], shares[rows], corners, n)
@@ -175,7 +185,7 @@ class Source:
         along = (edges[:, 0] * across[:, 1, 1:] - edges[:, 1] * across[:, 0, 1:]) * -handedness
         if self.mesh.corner_tangents is not None:
             own = self.mesh.corner_tangents[faces]
-            given = np.isfinite(own).all(axis=(1, 2))[:, None]
+            given = np.logical_and.reduce(np.isfinite(own), axis=(1, 2))[:, None]
             own = np.where(given[..., None], own, 0.0)
             along = np.where(given, np.einsum("nk,nkc->nc", shares, own[..., :3]), along)
             handedness = np.where(given, np.sign(own[:, :1, 3]), handedness)
