@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -19,7 +18,7 @@ from preprocess.export.ktx2 import write_ktx2
 from preprocess.export.lod_vertices import LodMesh
 from preprocess.export.tangent_normals import atlas_tangents, bake_tangent_normals, has_relief
 from preprocess.files.images import Image, write_image
-from preprocess.files.output_folder import MANIFEST
+from preprocess.files.output_folder import MANIFEST, describe_contents
 from preprocess.fit.textures import StoredTexture
 from preprocess.load import Character
 from preprocess.settings import Settings
@@ -122,9 +121,7 @@ def write_folder(
         "timings": {name: round(seconds, 3) for name, seconds in timings.items()},
         "warnings": list(warnings),
     }
-    manifest["files"] = {
-        path.relative_to(folder).as_posix(): hash_file(path) for path in sorted(folder.rglob("*")) if path.is_file()
-    }
+    manifest |= describe_contents(folder)
     write_manifest(folder, manifest)
     return manifest
 
@@ -132,7 +129,7 @@ def write_folder(
 def write_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
     """Write manifest.json."""
     text = json.dumps(_finite(manifest), indent=1, ensure_ascii=False)
-    (folder / MANIFEST).write_text(text + "\n", encoding="utf-8")
+    (folder / MANIFEST).write_text(text + "\n", encoding="utf-8", errors="replace")
 
 
 def _write_relief(folder: Path, finest: LodMesh, textures: Sequence[StoredTexture]) -> dict[str, Any]:
@@ -140,12 +137,6 @@ def _write_relief(folder: Path, finest: LodMesh, textures: Sequence[StoredTextur
     normals = next(texture.levels[0] for texture in textures if texture.name == "normal")
     write_image(folder / RELIEF, Image(bake_tangent_normals(finest, np.asarray(normals, np.float64)), "uint8"))
     return {"file": RELIEF, **({"uvs": "normal"} if finest.normal_uvs is not None else {})}
-
-
-def hash_file(path: Path) -> str:
-    """SHA-256 of a file's bytes, hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _row(node: str, lod: Lod) -> LodRow:
