@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from preprocess.arrays import Floats, Ints
-from preprocess.atlas import Atlas, build_atlas
+from preprocess.atlas import Atlas, character_atlas
 from preprocess.bake.geometry import bake_surface_positions
 from preprocess.decimate import Chain, DecimateOptions, decimate
 from preprocess.export.folder import LodRow, write_folder, write_manifest
@@ -30,7 +30,7 @@ from preprocess.load import Character, load_character
 from preprocess.load.pose_sampling import sample_poses
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.progress import Progress
-from preprocess.settings import Settings, floor_faces
+from preprocess.settings import Settings
 from preprocess.verify.goals import Finding, as_json, judge
 from preprocess.verify.measure import Measurement, measure
 from preprocess.verify.retries import next_retry
@@ -39,7 +39,6 @@ from runtime.asset.asset import load
 log = logging.getLogger(__name__)
 
 SURFACE_PX = 1024  # side of the texture that stands for the surface when levels are costed
-GUTTER_SIZE_PX, GUTTER_PX = 512, 4.0  # charts stay apart in geometry and weight textures of this size
 
 
 @dataclass(frozen=True)
@@ -152,7 +151,7 @@ def _build_once(character: Character, folder: Path, settings: Settings, progress
     """All stages from the atlas on, into a folder of their own."""
     folder.mkdir()
     with progress.stage("atlas") as stage:
-        atlas = _build_atlas(character, settings)
+        atlas = character_atlas(character, settings)
         stored = dataclasses.replace(atlas, mesh=snap_mesh(atlas.mesh))
         stage.delta = f"{atlas.mode}, {atlas.num_charts} charts, floor {atlas.floor_faces} faces"
     poses = sample_poses(character)
@@ -181,18 +180,6 @@ def _build_once(character: Character, folder: Path, settings: Settings, progress
         )
     pictures = baking.draw_decisions() if settings.report else {}
     return _Try(folder, manifest, stored.mesh.surface, pictures)
-
-
-def _build_atlas(character: Character, settings: Settings) -> Atlas:
-    floor = floor_faces(character.mesh.num_faces, settings.floor_rel)
-    return build_atlas(
-        character.mesh,
-        mode=settings.atlas,
-        floor=floor,
-        size_px=GUTTER_SIZE_PX,
-        gutter_px=GUTTER_PX,
-        straighten_rel=settings.straighten_rel,
-    )
 
 
 def draw_groups(character: Character, face_materials: Ints) -> Ints | None:

@@ -116,6 +116,8 @@ def write_folder(
             "stretch_l2": atlas.stretch_l2,
             "stretch_linf": atlas.stretch_linf,
             "coverage": atlas.coverage,
+            "kept_share": atlas.kept_share,
+            "texels": dict(atlas.texels),
         },
         "settings": asdict(settings),
         "timings": {name: round(seconds, 3) for name, seconds in timings.items()},

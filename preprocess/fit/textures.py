@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from preprocess.arrays import Floats
 from preprocess.atlas import Atlas
+from preprocess.atlas.chart_scales import NORMAL_SIZE_PX
 from preprocess.bake.color_borders import BORDER, find_color_borders
 from preprocess.bake.hard_edges import NormalUvs, bake_surface, erase_surface, find_normal_uvs, move_seams
 from preprocess.bake.materials import BakedTexture, bake_materials, bake_normals, normal_tangents, normals_at
@@ -43,7 +44,6 @@ from preprocess.settings import Settings
 
 log = logging.getLogger(__name__)
 
-NORMAL_SIZE_PX = 1024  # without a normal map
 PICTURE_PX = 768  # side of the pictures for the report
 STEPS = {"uint8": 255, "uint16": 65535}
 # Normals are made unit when shaded. Stored a little shorter they leave their solution room along the axes: held within
@@ -119,9 +119,9 @@ class TextureStage:
         self.made_here = self._find_made_seams()
         self.decisions: dict[str, Decision] = {}
         self.notes: list[str] = []
-        self.normal_size = self.settings.color_size_px or self._normal_size()
+        self.normal_size = self.settings.color_size_px or atlas.sides.get("normal", NORMAL_SIZE_PX)
         size = (self.normal_size, self.normal_size)
-        unwrapped = atlas.mode == "unwrap"
+        unwrapped = atlas.kept_share < 1.0
         self.borders = find_color_borders(character, self.mesh, size) if unwrapped else None
         half_edges = None if self.borders is None else self.borders.half_edges()
         self.normal_uvs: NormalUvs | None = find_normal_uvs(self.mesh, size, half_edges)
@@ -220,10 +220,6 @@ class TextureStage:
             return surface, seams
         return erase_surface(surface, uvs), move_seams(seams, surface, uvs)
 
-    def _normal_size(self) -> int:
-        maps = [material.normal for material in self.character.materials]
-        return max((max(ref.image.texels.shape[:2]) for ref in maps if ref is not None), default=NORMAL_SIZE_PX)
-
     def _materials(self) -> list[_Job]:
         """Base colour and, where the character has them, occlusion-roughness-metallic and emissive."""
         mesh, cover = self.mesh, self.cover
@@ -231,7 +227,7 @@ class TextureStage:
             assert self.normal_uvs is not None
             mesh, cover = mesh.with_surface(bake_surface(mesh.surface, self.normal_uvs)), self.cover_moved
         side = self.settings.color_size_px
-        baked = bake_materials(self.character, mesh, self.atlas.resampled, side, cover, self.notes)
+        baked = bake_materials(self.character, mesh, self.atlas.resampled, side, cover, self.atlas.sides)
         return [self._material(texture) for texture in baked]
 
     def _material(self, texture: BakedTexture) -> _Job:
