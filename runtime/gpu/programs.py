@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import moderngl
 
 MAX_INCLUDE_DEPTH = 16
-LINES_A_FILE = 10_000
+LINES_PER_FILE = 10_000
 MIN_VERSION_CODE = 330
 TESSELLATION_VERSION_CODE = 410
 STAGES = {
@@ -51,7 +51,7 @@ class ShaderSource:
         """A driver's message with file numbers replaced by names."""
 
         def name(match: re.Match[str]) -> str:
-            number, line = divmod(int(match[4]), LINES_A_FILE)
+            number, line = divmod(int(match[4]), LINES_PER_FILE)
             shown = self.files[number] if number < len(self.files) else match[2]
             return f"{match[1]}{shown}{match[3]}{line}"
 
@@ -84,7 +84,7 @@ def _expand(name: str, text: str, files: list[str], depth: int, folder: Path | N
     if name not in files:
         files.append(name)
     number = files.index(name)
-    start = number * LINES_A_FILE
+    start = number * LINES_PER_FILE
     lines = [f"#line {start + 1} {number}"]
     for line_number, line in enumerate(text.splitlines(), start=1):
         match = _INCLUDE.match(line)
