@@ -1,4 +1,4 @@
-"""Mip chains of a build, whose every level is seamless as stored (see `erase.mips` for the rules, `closing` for the method)."""
+"""Mip chains of a build, whose every level is seamless as stored (rules: `erase.mips`; method: `closing`)."""
 
 from __future__ import annotations
 
