@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from preprocess.arrays import Floats, Indices
 from preprocess.files.srgb import srgb_to_linear
 from preprocess.fit.weight_quadtree import sample_weights
-from preprocess.fit.weight_stack import unpack_weights
 from preprocess.mesh.texels import bilinear_stencil
 from runtime.asset.asset import Asset
 from runtime.asset.packed_positions import read_words
+from runtime.asset.weight_stack import unpack_weights
 
 POSITION_STEPS = 65535  # positions without words lie in GPU memory as 16-bit numbers over their box
 
