@@ -13,7 +13,6 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,11 +57,18 @@ class ShaderSource:
         return _MESSAGE_PLACE.sub(name, message)
 
 
+@lru_cache(maxsize=1)
+def shader_folder() -> Path:
+    """Where shaders lie: in the installed package inside it, in the repository beside it."""
+    package = Path(__file__).resolve().parent.parent
+    return next((folder for folder in (package / "shaders", package.parent / "shaders") if folder.is_dir()), package)
+
+
 @lru_cache(maxsize=128)
 def _read_own(name: str) -> str | None:
     """Text of a file in shaders/, None where there is none."""
-    entry = resources.files("shaders").joinpath(name)
-    return entry.read_text(encoding="utf-8") if entry.is_file() else None
+    path = shader_folder() / name
+    return path.read_text(encoding="utf-8") if path.is_file() else None
 
 
 def _find(name: str, beside: str, folder: Path | None) -> tuple[str, str]:
