@@ -141,6 +141,7 @@ class Environment:
             If the array is not such an image, or not finite.
         """
         image = np.asarray(radiance, np.float64)
+        image = np.repeat(image[:, :, None], 3, axis=2) if image.ndim == 2 else image
         if image.ndim != 3 or image.shape[2] < 3 or 0 in image.shape or not np.isfinite(image).all():
             raise RenderError(f"an environment must be an image (H, W, 3) of finite radiance, not {image.shape}")
         full = _resample(image[:, :, :3], *PANORAMA_SIZE)
