@@ -101,7 +101,7 @@ void main() {
 #ifdef NORMAL_UV
     surface_normal_uv = vec2(in_normal_uv) / float(NORMAL_UV);
 #endif
-    surface_normal_matrix = normal_matrix(world) * normal_matrix(pose);
+    surface_normal_matrix = normal_matrix(world) * pose_normal_matrix(pose);
     surface_rest = in_position;
     surface_tint = in_tint;
     surface_level = crowd_level;

@@ -65,7 +65,7 @@ void main() {
     gl_Position = clip_from_world * vec4(position, 1.0);
     surface_uv = own_uv();
     surface_position = position;
-    surface_normal_matrix = normal_matrix(world) * normal_matrix(pose);
+    surface_normal_matrix = normal_matrix(world) * pose_normal_matrix(pose);
     surface_rest = rest;
     surface_tint = in_tint;
     surface_level = in_pose_and_level.y;

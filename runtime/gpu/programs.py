@@ -13,6 +13,8 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,17 +60,17 @@ class ShaderSource:
 
 
 @lru_cache(maxsize=1)
-def shader_folder() -> Path:
-    """Where shaders lie: in the installed package inside it, in the repository beside it."""
-    package = Path(__file__).resolve().parent.parent
-    return next((folder for folder in (package / "shaders", package.parent / "shaders") if folder.is_dir()), package)
+def _shader_folder() -> Traversable:
+    """Our GLSL files: inside the package where it was installed, beside it in a checkout."""
+    inside = resources.files("runtime").joinpath("shaders")
+    return inside if inside.is_dir() else Path(__file__).resolve().parents[2] / "shaders"
 
 
 @lru_cache(maxsize=128)
 def _read_own(name: str) -> str | None:
     """Text of a file in shaders/, None where there is none."""
-    path = shader_folder() / name
-    return path.read_text(encoding="utf-8") if path.is_file() else None
+    entry = _shader_folder().joinpath(name)
+    return entry.read_text(encoding="utf-8") if entry.is_file() else None
 
 
 def _find(name: str, beside: str, folder: Path | None) -> tuple[str, str]:
