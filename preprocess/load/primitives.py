@@ -261,5 +261,5 @@ def _without_unused(primitive: Primitive) -> Primitive:
         return primitive
     arrays = ("positions", "normals", "tangents", "texcoords", "colors", "joints", "weights")
     values = {name: getattr(primitive, name) for name in arrays}
-    kept = {name: None if array is None else array[used] for name, array in values.items()}
+    kept: dict[str, Any] = {name: None if array is None else array[used] for name, array in values.items()}
     return replace(primitive, faces=corners.reshape(-1, 3), **kept)
