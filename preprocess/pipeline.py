@@ -22,6 +22,7 @@ from preprocess.fit.textures import StoredTexture, TextureStage
 from preprocess.fit.uv_quantisation import snap_levels, snap_mesh
 from preprocess.load import Character, load_character
 from preprocess.load.pose_sampling import sample_poses
+from preprocess.mesh.morphs import choose_shapes, shaped_matrices, shift_vertices
 from preprocess.progress import Progress
 from preprocess.settings import Settings, floor_faces
 
@@ -85,7 +86,8 @@ def build(model: Path, destination: Path, settings: Settings, progress: Progress
         with progress.stage("levels") as stage:
             chain = _build_lods(character, atlas, textures, poses, settings)
             lods = chain.lods if stored.mesh is atlas.mesh else snap_levels(chain.lods)
-            textures, lods = fit_levels(stored.mesh, textures, lods, poses)
+            shapes = choose_shapes(mesh.morphs, mesh.num_vertices)
+            textures, lods = fit_levels(stored.mesh, textures, lods, poses, shapes)
             chain = dataclasses.replace(chain, lods=lods)
             normal_uvs = baking.level_normal_uvs(chain.lods)
             stage.delta = " → ".join(str(lod.num_faces) for lod in chain.lods)
@@ -137,6 +139,8 @@ def _build_lods(
     position = bake_surface_positions(mesh, (side, side))
     dense = mesh.dense_weights(poses.shape[1])
     blended = np.einsum("vj,pjik->pvik", dense, poses[:, :, :3])
+    shifts = shift_vertices(mesh.morphs, choose_shapes(mesh.morphs, mesh.num_vertices), mesh.num_vertices)
+    blended = np.concatenate([blended, shaped_matrices(blended[0], shifts)])
     options = DecimateOptions(
         ratios=None if settings.lod_ratios is None else (1.0, *settings.lod_ratios),
         relaxed_px=0.0 if settings.exact else DecimateOptions().relaxed_px,

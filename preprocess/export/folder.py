@@ -25,11 +25,14 @@ from preprocess.load import Character
 from preprocess.settings import Settings
 from runtime.animation.bounds import clip_bounds, joint_boxes
 from runtime.asset.manifest import SCHEMA
+from runtime.asset.morphs import pack_morphs
 from runtime.asset.weight_quadtree import WeightDetails, pack_details
 
 MODEL = "model.glb"
 SRGB = ("base_color", "emissive")  # textures whose stored values are sRGB-encoded
 DETAILS = "weight_details.png"
+MORPHS = "morphs.png"
+REACH_MARGIN = 0.05  # of a target's largest shift: points between vertices follow its map, not the faces
 RELIEF = "tangent_normal.png"  # what model.glb has for the normal texture; the runtime reads the latter
 BOUNDS_MARGIN_REL = 0.005  # of the diagonal: points between vertices follow the position texture, not the faces
 
@@ -108,6 +111,7 @@ def write_folder(
         "bounds": _bounds(character, atlas),
         "lods": [asdict(row) for row in rows],
         "textures": entries,
+        **_write_morphs(folder, atlas, textures, character.skeleton.num_joints),
         "atlas": {
             "mode": atlas.mode,
             "charts": atlas.num_charts,
@@ -190,6 +194,33 @@ def _write_details(folder: Path, details: WeightDetails, form: str) -> dict[str,
     image = pack_details(details, form == "uint16")
     write_image(folder / DETAILS, Image(image / float(np.iinfo(image.dtype).max), form))
     return {"file": DETAILS, "leaves": len(details.depths), "slots": int(details.joints.shape[-1])}
+
+
+def _write_morphs(
+    folder: Path, atlas: Atlas, textures: Sequence[StoredTexture], num_joints: int
+) -> dict[str, dict[str, Any]]:
+    """Write the displacement maps of the morph targets; their part of the manifest, empty where there are none.
+
+    `reach` says how far a target of weight one moves what a joint carries: joint, least and greatest shift.
+    """
+    morphs = next((texture.morphs for texture in textures if texture.morphs is not None), None)
+    if morphs is None:
+        return {}
+    image, entries = pack_morphs(morphs.targets)
+    write_image(folder / MORPHS, Image(image / float(np.iinfo(image.dtype).max), "uint16"))
+    mesh = atlas.mesh
+    for entry, morph in zip(entries, mesh.morphs):
+        boxes = joint_boxes(
+            morph.dense_shifts(mesh.num_vertices),
+            mesh.joint_indices,
+            mesh.joint_weights,
+            num_joints,
+            faces=mesh.surface.faces,
+            margin_m=REACH_MARGIN * entry["shift_m"],
+        )
+        moved = np.isfinite(boxes).all(axis=(1, 2)) & (np.abs(boxes) > REACH_MARGIN * entry["shift_m"]).any(axis=(1, 2))
+        entry["reach"] = [[int(joint), *boxes[joint].tolist()] for joint in np.flatnonzero(moved)]
+    return {"morphs": {"file": MORPHS, "targets": entries}}
 
 
 def _bounds(character: Character, atlas: Atlas) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from preprocess.bake.geometry import vertex_values
 from preprocess.decimate import Lod
 from preprocess.decimate.measure import make_reference, measure
 from preprocess.erase import measure_seams
+from preprocess.fit.morph_maps import store_morphs
 from preprocess.fit.packed_positions import are_worth_it, round_positions
 from preprocess.fit.spare_texels import park_vertices
 from preprocess.fit.stored_texture import StoredTexture, jump
@@ -32,11 +33,13 @@ from preprocess.fit.weight_quadtree import (
     sample_weights,
 )
 from preprocess.fit.weight_stack import unpack_weights
+from preprocess.mesh.morphs import shaped_matrices, shift_vertices
 from preprocess.mesh.raster import rasterise
 from preprocess.mesh.seams import find_seams
 from preprocess.mesh.surface import SkinnedMesh
 from preprocess.mesh.texels import px_to_uv, sample_bilinear
 from preprocess.mesh.uv_lookup import locate_uvs, uv_tree
+from runtime.asset.morphs import Morphs
 
 log = logging.getLogger(__name__)
 
@@ -204,9 +207,15 @@ def _in_words(
 
 
 def _measured(
-    mesh: SkinnedMesh, weights: StoredTexture, lods: Sequence[Lod], allowed: Sequence[Lod], poses: Floats
+    mesh: SkinnedMesh,
+    weights: StoredTexture,
+    lods: Sequence[Lod],
+    allowed: Sequence[Lod],
+    poses: Floats,
+    morphs: Morphs | None,
+    shapes: Floats,
 ) -> tuple[Lod, ...]:
-    """Levels with the distances of what is drawn: positions and weights as they are fetched, in all poses.
+    """Levels with the distances of what is drawn: positions, weights and morphs as they are fetched, in all poses.
 
     The finest has what its vertices are off. A relaxed level's error is no less than what hides its seams, which
     decimation has said (`allowed`); and no level's is less than a finer one's.
@@ -214,14 +223,20 @@ def _measured(
     num_joints = poses.shape[1]
     stored = unpack_weights(_as_integers(weights), weights.size, num_joints)
     rows = poses[:, :, :3]
-    reference = make_reference(mesh.surface, np.einsum("vj,pjik->pvik", mesh.dense_weights(num_joints), rows))
+    blended = np.einsum("vj,pjik->pvik", mesh.dense_weights(num_joints), rows)
+    shifts = shift_vertices(mesh.morphs, shapes, mesh.num_vertices)
+    reference = make_reference(mesh.surface, np.concatenate([blended, shaped_matrices(blended[0], shifts)]))
     finished = [lods[0]]
     for lod, before in zip(lods[1:], allowed[1:], strict=True):
         uvs = lod.uvs[lod.canonical_uvs] if lod.fetch_uvs is None else lod.fetch_uvs
         drawn = (
             sample_bilinear(stored, uvs) if weights.details is None else sample_weights(stored, weights.details, uvs)
         )
-        found = measure(reference, lod, np.einsum("vj,pjik->pvik", drawn, rows))
+        blended = np.einsum("vj,pjik->pvik", drawn, rows)
+        shifts = np.zeros((len(shapes), len(uvs), 3))
+        for number in np.flatnonzero(shapes.any(axis=0)) if morphs is not None else ():
+            shifts += shapes[:, number, None, None] * morphs.rows_at(number, uvs)[None, :, :, 3]
+        found = measure(reference, lod, np.concatenate([blended, shaped_matrices(blended[0], shifts)]))
         error_m = max(found.largest_m, finished[-1].error_m, 0.0 if lod.exact else before.error_m)
         if found.largest_m > (1.0 + LEVEL_SHARE) * max(before.error_m, lods[0].error_m):
             log.info("%d faces: %.3g m off as drawn, %.3g by decimation", lod.num_faces, error_m, before.error_m)
@@ -232,7 +247,7 @@ def _measured(
 
 
 def fit_levels(
-    mesh: SkinnedMesh, textures: Sequence[StoredTexture], lods: Sequence[Lod], poses: Floats
+    mesh: SkinnedMesh, textures: Sequence[StoredTexture], lods: Sequence[Lod], poses: Floats, shapes: Floats
 ) -> tuple[list[StoredTexture], tuple[Lod, ...]]:
     """Make geometry right at the vertices of all levels.
 
@@ -246,6 +261,8 @@ def fit_levels(
         The finest first: the full mesh.
     poses : (P, J, 4, 4) float64
         Skinning matrices.
+    shapes : (S, M) float64
+        Morph weights of further shapes, in the first pose.
 
     Returns
     -------
@@ -266,5 +283,8 @@ def fit_levels(
         by_name["position"], fitted = _in_words(position, texels.astype(np.float64), mesh, fitted, full)
     else:
         by_name["position"] = dataclasses.replace(position, levels=(texels,))
+    located = [(owner.corners, owner.barycentrics) for owner in owners]
+    morphs = store_morphs(mesh, fitted, located, position.size)
+    by_name["position"] = dataclasses.replace(by_name["position"], morphs=morphs)
     by_name["weights"] = _detail(by_name["weights"], mesh, fitted, owners, poses)
-    return list(by_name.values()), _measured(mesh, by_name["weights"], fitted, lods, poses)
+    return list(by_name.values()), _measured(mesh, by_name["weights"], fitted, lods, poses, morphs, shapes)

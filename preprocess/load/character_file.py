@@ -15,7 +15,7 @@ from preprocess.load.character import Character
 from preprocess.load.materials import read_materials
 from preprocess.load.scene import read_scene
 from preprocess.load.unify import unify
-from runtime.animation.clip import Clip, read_clips
+from runtime.animation.clip import WEIGHTS, Clip, read_clips
 from runtime.animation.skeleton import read_skeleton
 from runtime.errors import AssetError
 from runtime.gltf.document import Document, read_document
@@ -53,9 +53,10 @@ SUPPORTED_EXTENSIONS = (
 
 
 def _dropped_channels(document: Document, clips: tuple[Clip, ...]) -> list[str]:
-    """What the file's animations move and the clips do not: morph weights, cameras, lights, other extensions."""
-    channels = sum(len(clip.get("channels", [])) for clip in document.items("animations"))
-    kept = sum(len(clip.tracks) for clip in clips)
+    """What the file's animations move and the clips do not: cameras, lights, other extensions."""
+    paths = [one.get("target", {}).get("path") for a in document.items("animations") for one in a.get("channels", [])]
+    channels = sum(path != WEIGHTS for path in paths)
+    kept = sum(track.path != WEIGHTS for clip in clips for track in clip.tracks)
     return [f"{channels - kept} animation channels dropped: they move no joint"] if kept < channels else []
 
 
@@ -64,7 +65,7 @@ def _distinct_clips(clips: tuple[Clip, ...], warnings: list[str]) -> tuple[Clip,
     kept: dict[str, Clip] = {}
     for clip in clips:
         if not clip.tracks:
-            warnings.append(f"clip {clip.name!r} left out: it moves no joint")
+            warnings.append(f"clip {clip.name!r} left out: it moves no joint and no morph")
             continue
         name, number = clip.name, 2
         while name in kept:
@@ -89,7 +90,11 @@ def _load(document: Document) -> Character:
         scene, materials, {index: at for at, index in enumerate(used)}, document.path.name, warnings
     )
     mesh.validate()
-    skeleton = read_skeleton(document, scene.joint_nodes.tolist(), scene.inverse_bind)
+    skeleton = dataclasses.replace(
+        read_skeleton(document, scene.joint_nodes.tolist(), scene.inverse_bind),
+        morphs=tuple(scene.morphs),
+        morph_weights=tuple(scene.morphs.values()),
+    )
     faults: list[str] = []
     clips = read_clips(document, skeleton, faults=faults)
     warnings += [fault.replace(f"{document.path}: ", "") for fault in faults]

@@ -212,6 +212,8 @@ def _motions(skeleton: Skeleton, clip: Clip, middles: NDArray[np.float64]) -> di
     # Before a track's first key nothing moves, although the segment found there has a rate.
     key_rates = np.where(middles < clip.keys.start_times[clip.keys.first_key][:, None], 0.0, key_rates)
     for bank in clip.keys.banks:
+        if bank.path not in motions:  # morph weights move no node
+            continue
         bounds = _rotation_motion(bank) if bank.path == "rotation" else _polynomial_motion(bank, 3)
         index = bank.first_segment[:, None] + segments[bank.time_lists]
         rates = key_rates[bank.time_lists]
