@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from demos.errors import DemoError
 from demos.extras import needs_packages
 from demos.headless import create_context, write_png
+from demos.model_cache import MODEL_SUFFIXES
 from demos.options import Options, Parser, add_arguments, options_of, run
 from demos.viewer import choose_camera, find_folder, make_actor
 from runtime.asset.asset import Asset, load
@@ -236,7 +237,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.add_argument("--source", type=Path, metavar="MODEL", help="the file that DIR was built from")
         parser.add_argument("--seam", type=int, default=0, metavar="N", help="which seam to look at, 0 the worst")
         parsed = parser.parse_args(arguments)
+        model = parsed.folder if parsed.folder and parsed.folder.suffix.lower() in MODEL_SUFFIXES else None
         options = options_of(parsed)
+        parsed.source = parsed.source or model
         if parsed.seam < 0:
             raise DemoError(f"--seam counts from 0, not {parsed.seam}")
         if parsed.source is not None and not parsed.source.is_file():

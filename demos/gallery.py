@@ -36,6 +36,8 @@ class Step:
     sources : tuple of str
         Patterns of files of this checkout that decide the result, and results of earlier steps.
     make : function without arguments
+    after : list of Step
+        Whose results it needs.
     """
 
     name: str

@@ -13,6 +13,7 @@ from typing import Any, NoReturn
 
 from demos.errors import DemoError
 from demos.extras import missing_package
+from demos.model_cache import built_folder
 from runtime.errors import AssetError, RenderError
 
 VIEW_NAMES = ("lit", "base_color", "normal", "position", "weights", "lod", "wireframe", "seams", "mask")
@@ -48,6 +49,10 @@ class Options:
     eye, target : three floats or None
     fovy_deg : float
     view : str
+    backdrop : bool
+        Whether lit pictures have a ground and a sky.
+    panel : bool
+        Whether windows have a panel, where the demo has one.
     """
 
     folder: Path | None
@@ -63,6 +68,7 @@ class Options:
     fovy_deg: float
     view: str
     backdrop: bool
+    panel: bool = True
 
 
 def picture_size(text: str) -> tuple[int, int]:
@@ -117,7 +123,11 @@ def field_of_view(text: str) -> float:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments that all demos have."""
     parser.add_argument(
-        "folder", nargs="?", type=Path, metavar="DIR", help="a built character (default: the built-in one)"
+        "folder",
+        nargs="?",
+        type=Path,
+        metavar="DIR|MODEL",
+        help="a built character, or a .glb, .gltf or .vrm file, which is built once (default: the built-in character)",
     )
     parser.add_argument("--headless", action="store_true", help="draw one picture without a window")
     parser.add_argument("--out", type=Path, metavar="FILE.png", help="where the picture goes (with --headless)")
@@ -136,6 +146,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--view", choices=VIEW_NAMES, default="lit", metavar="VIEW", help=", ".join(VIEW_NAMES) + " (lit)"
     )
     parser.add_argument("--no-backdrop", action="store_true", help="transparent background in lit pictures")
+    parser.add_argument("--no-panel", action="store_true", help="a window without its panel")
 
 
 def options_of(arguments: argparse.Namespace) -> Options:
@@ -154,7 +165,7 @@ def options_of(arguments: argparse.Namespace) -> Options:
         chosen = "auto" if arguments.lod == "auto" else "off"
     clip = arguments.clip
     return Options(
-        folder=arguments.folder,
+        folder=None if arguments.folder is None else built_folder(arguments.folder),
         headless=arguments.headless,
         out=arguments.out,
         size=arguments.size,
@@ -167,6 +178,7 @@ def options_of(arguments: argparse.Namespace) -> Options:
         fovy_deg=arguments.fovy,
         view=arguments.view,
         backdrop=not arguments.no_backdrop,
+        panel=not arguments.no_panel,
     )
 
 

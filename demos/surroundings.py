@@ -98,6 +98,9 @@ class Surroundings:
 
         Parameters
         ----------
+        camera : Camera
+        target : Framebuffer
+            For its size.
         size_m : half a side of the ground
         lantern : (3,) where one hangs, in the world
 

@@ -22,6 +22,7 @@ class Window:
     on_key : function of a key's name ("space", "left", "a", "1" ...)
     on_drag : function of dx, dy and whether to move (then they are pixels) instead of to turn (screen units)
     on_scroll : function of steps
+    on_drop : function of the paths of files that were dropped on the window
     """
 
     def __init__(self, title: str, size: tuple[int, int]) -> None:
@@ -35,6 +36,7 @@ class Window:
         self.on_key: Callable[[str], None] = lambda name: None
         self.on_drag: Callable[[float, float, bool], None] = lambda dx, dy, move: None
         self.on_scroll: Callable[[float], None] = lambda steps: None
+        self.on_drop: Callable[[list[str]], None] = lambda paths: None
         glfw.ERROR_REPORTING = "ignore"
         if not glfw.init():
             raise DemoError("no display to open a window on: use --headless --out FILE.png")
@@ -59,6 +61,8 @@ class Window:
         glfw.set_key_callback(self._window, self._key)
         glfw.set_scroll_callback(self._window, lambda _, dx, dy: self.on_scroll(dy))
         glfw.set_cursor_pos_callback(self._window, self._moved)
+        dropped: Any = self._dropped
+        glfw.set_drop_callback(self._window, dropped)
 
     def _key(self, _: Any, key: int, scancode: int, action: int, mods: int) -> None:
         glfw = self._glfw
@@ -69,6 +73,9 @@ class Window:
             glfw.set_window_should_close(self._window, True)
         else:
             self.on_key(named.get(key) or glfw.get_key_name(key, scancode) or "")
+
+    def _dropped(self, _: Any, paths: list[str]) -> None:
+        self.on_drop(list(paths))
 
     def _moved(self, _: Any, x: float, y: float) -> None:
         glfw = self._glfw
@@ -82,6 +89,11 @@ class Window:
             # What is moved follows the pointer by pixels, two a screen unit on Retina; turning follows the hand.
             scale = self.size[0] / max(glfw.get_window_size(self._window)[0], 1) if move else 1.0
             self.on_drag(dx * scale, dy * scale, move)
+
+    @property
+    def handle(self) -> Any:
+        """GLFW's window."""
+        return self._window
 
     @property
     def framebuffer(self) -> moderngl.Framebuffer:

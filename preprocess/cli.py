@@ -41,7 +41,7 @@ SURROUNDINGS = {
     errno.ENAMETOOLONG: "choose a shorter name",
     errno.EMFILE: "allow more open files (ulimit -n)",
 }
-EXTRA = ("scipy", "numba", "pygltflib", "rich")  # what `pip install seamskin` alone leaves out
+EXTRA = ("scipy", "numba", "pygltflib", "rich", "mapbox_earcut")  # what `pip install seamskin` alone leaves out
 USAGE = "python -m preprocess MODEL [-o DIR] [options]   or   python -m preprocess COMMAND ... (see -h)"
 
 
@@ -74,8 +74,8 @@ def main(arguments: Sequence[str]) -> int:
         return 0
     except InputError as error:
         return _refuse(str(error))
-    except KeyboardInterrupt:
-        print("preprocess: interrupted; nothing was written", file=sys.stderr)
+    except KeyboardInterrupt as interrupt:  # a command that has written something says what
+        print(f"preprocess: interrupted; {interrupt or 'nothing was written'}", file=sys.stderr)
         return 130
     except Exception as error:
         surroundings = _name_surroundings(error)

@@ -16,7 +16,7 @@ from preprocess.bake.geometry import bake_surface_positions
 from preprocess.decimate import Chain, DecimateOptions, decimate
 from preprocess.export.folder import LodRow, write_folder
 from preprocess.export.report import write_report
-from preprocess.files.output_folder import MANIFEST, whole_folder
+from preprocess.files.output_folder import MANIFEST, atomic_folder
 from preprocess.fit.level_geometry import fit_levels
 from preprocess.fit.textures import StoredTexture, TextureStage
 from preprocess.fit.uv_quantisation import snap_levels, snap_mesh
@@ -67,7 +67,7 @@ def build(model: Path, destination: Path, settings: Settings, progress: Progress
     InputError
         If the file cannot be used; nothing is written then.
     """
-    with whole_folder(destination) as folder:
+    with atomic_folder(destination) as folder:
         with progress.stage("load") as stage:
             character = load_character(model)
             mesh = character.mesh

@@ -1,7 +1,7 @@
 // A level of detail as it is: one vertex a corner of its triangles, everything but its uvs fetched from textures.
 //
-// Every copy of a surface point has the same canonical uv and so computes the same bits (method: watertight, bit for
-// bit); the material is sampled at the copy's own uv.
+// Every copy of a surface point has the same canonical uv and so computes the same bits (docs/method.md, section 6);
+// the material is sampled at the copy's own uv.
 #include "include/frame.glsl"
 #include "include/instance.glsl"
 #include "include/skinning.glsl"

@@ -8,6 +8,7 @@ import json
 import struct
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -168,7 +169,7 @@ def test_check_notices_a_changed_byte(tmp_path: Path) -> None:
     from typing import cast
 
     from preprocess.commands.check import compare_files
-    from preprocess.export.folder import hash_file
+    from preprocess.files.output_folder import hash_file
     from runtime.asset.asset import Asset
 
     (tmp_path / "mips").mkdir()
@@ -200,6 +201,24 @@ def test_batch_builds_all_and_names_the_bad_one(tmp_path: Path) -> None:
     refused(done, "1 of 2")
     assert (tmp_path / "out" / "Fox.seamless" / "manifest.json").is_file()
     assert not (tmp_path / "out" / "bad.seamless").exists()
+
+
+@pytest.mark.slow
+def test_a_batch_that_is_stopped_ends_its_builds_and_says_what_is_there(tmp_path: Path) -> None:
+    """SIGTERM while one of two builds runs: no process goes on, no partial folder stays, nothing is claimed wrongly."""
+    models = [bent_bar(tmp_path / f"{name}.glb") for name in ("a", "b")]
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "preprocess", "batch", *map(str, models), "-o", str(out), "-j", "1"]
+    batch = subprocess.Popen([*command, "--lods", "0.6"], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    while not list(out.glob(".a.seamless.partial-*")):
+        assert batch.poll() is None
+        time.sleep(0.01)
+    batch.terminate()
+    _, said = batch.communicate(timeout=60)
+    assert batch.returncode == 130
+    whole = sorted(path.name for path in out.iterdir()) if out.exists() else []
+    assert whole in ([], ["a.seamless"])
+    assert said.splitlines()[-1] == f"preprocess: interrupted; {len(whole)} of 2 models were built and are whole"
 
 
 def full_disk(folder: Path) -> OSError:

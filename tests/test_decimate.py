@@ -20,11 +20,11 @@ from preprocess.decimate import (
 )
 from preprocess.decimate.levels import PEAK_WEIGHT
 from preprocess.decimate.measure import make_reference, measure
-from preprocess.decimate.vertex_cache import cache_order, miss_ratio
 from preprocess.erase import erase, measure_seams
 from preprocess.load.read_surface import read_surface
 from preprocess.mesh.seams import find_seams
 from preprocess.mesh.surface import TexturedSurface
+from preprocess.mesh.vertex_cache import cache_order, miss_ratio
 from preprocess.straighten import straighten
 from tests.builders_decimate import box, parts, square, waves
 from tests.builders_straighten import moebius, ring_in_square, tube, two_charts, with_dart

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import re
 import subprocess
 import sys
@@ -118,6 +119,7 @@ import moderngl, numpy, pygame
 import runtime, runtime.asset.asset
 load = runtime.asset.asset.load
 import dataclasses
+import os
 def named(path):
     asset = load({str(somebody.path)!r})
     return dataclasses.replace(asset, clips=(dataclasses.replace(asset.clips[0], name="walk"),))
@@ -142,3 +144,46 @@ runpy.run_path("game.py", run_name="__main__")
         [sys.executable, "-c", closing], cwd=tmp_path, capture_output=True, text=True, timeout=240, env=environment
     )
     assert done.returncode == 0 and "looked" in done.stdout, done.stdout + done.stderr
+
+
+def test_the_programs_of_the_tutorial_run_in_a_window(display: str, somebody: runtime.Asset, tmp_path: Path) -> None:  # noqa: F811
+    pytest.importorskip("moderngl_window")
+    pytest.importorskip("glfw")
+    first, second = examples("docs/tutorial.md")
+    closing = """
+import sys
+import moderngl_window, numpy
+def closing(base):
+    class Closing(base):
+        frames = 0
+        def on_render(self, time, frame_time):
+            super().on_render(time, frame_time)
+            self.frames += 1
+            if self.frames == 4:
+                width, height = self.wnd.buffer_size
+                data = self.wnd.fbo.read(components=3, alignment=1)
+                seen = numpy.frombuffer(data, numpy.uint8).reshape(-1, 3)
+                assert len(numpy.unique(seen[::7], axis=0)) > 20, "an empty window"
+                print("looked")
+                self.wnd.close()
+    return Closing
+moderngl_window.run_window_config(closing(globals()[sys.argv[1]]), args=["--window", "glfw", "--size", "320x240"])
+"""
+    program = f"FOLDER = {str(somebody.path)!r}\n{first}\n{second}\n{closing}"
+    (tmp_path / "game.py").write_text(program, encoding="utf-8")
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "DISPLAY": display}
+    for name in ("Game", "Parade"):
+        command = [sys.executable, "game.py", name]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=240, env=environment)
+        assert done.returncode == 0 and "looked" in done.stdout, done.stdout + done.stderr
+
+
+def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
+    """Strict: dead links, missing anchors and names that the reference does not find are errors."""
+    pytest.importorskip("mkdocs")
+    pytest.importorskip("mkdocstrings")
+    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(tmp_path / "site")]
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300, env=environment)
+    assert done.returncode == 0 and "WARNING" not in done.stderr, done.stdout + done.stderr
+    assert "Renderer" in (tmp_path / "site/reference/runtime/index.html").read_text(encoding="utf-8")

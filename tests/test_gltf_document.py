@@ -233,7 +233,7 @@ def test_names_that_exporters_write_badly(tmp_path: Path) -> None:
         path.write_text(text.replace("its%20buffer.bin", uri))
         assert len(read_document(path).accessor(0)) == 27
     path.write_text(text.replace("its%20buffer.bin", "Data"))
-    with pytest.raises(AssetError, match="buffer 0 is missing: Data: put it beside"):
+    with pytest.raises(AssetError, match="buffer 0: 'Data' is a folder, not a regular file: put it beside"):
         read_document(path).accessor(0)
 
 

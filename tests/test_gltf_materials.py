@@ -179,7 +179,7 @@ def test_vertex_colours_are_white_where_a_part_has_none(tmp_path: Path) -> None:
     np.testing.assert_array_equal(colors[2:], 1)
 
 
-def test_tangents_of_some_parts_are_kept_and_the_rest_made(tmp_path: Path) -> None:
+def test_tangents_of_some_parts_are_kept(tmp_path: Path) -> None:
     builder = GltfBuilder()
     shape = grid(1, 1)
     common = {"NORMAL": np.tile([0, 0, 1.0], (4, 1)), "TEXCOORD_0": shape["uvs"]}
@@ -190,7 +190,7 @@ def test_tangents_of_some_parts_are_kept_and_the_rest_made(tmp_path: Path) -> No
     tangents = load_character(builder.write(tmp_path / "a.glb")).mesh.corner_tangents
     assert tangents is not None
     np.testing.assert_allclose(tangents[:2], np.broadcast_to([0, 1, 0, -1.0], (2, 3, 4)))
-    np.testing.assert_allclose(tangents[2:], np.broadcast_to([1, 0, 0, 1.0], (2, 3, 4)), atol=1e-6)
+    assert np.isnan(tangents[2:]).all()  # made where their normal texture is known (bake/materials.py)
 
 
 def test_morph_channels_are_dropped_with_a_warning(tmp_path: Path) -> None:

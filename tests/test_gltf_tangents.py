@@ -126,7 +126,7 @@ def test_no_uv_direction_anywhere_still_gives_unit_vectors_across_the_normal() -
 @pytest.mark.parametrize("name", ["human.glb", "Knight.glb", "mannequiny.glb"])
 def test_frames_of_the_characters_are_orthonormal(name: str) -> None:
     mesh = load_character(asset(name)).mesh
-    tangents = corner_tangents(mesh, 0)
+    tangents = corner_tangents(mesh, np.arange(mesh.num_faces), mesh.corner_texcoords[:, :, 0])
     assert np.abs(np.einsum("fkc,fkc->fk", tangents[..., :3], mesh.corner_normals)).max() < 1e-9
     np.testing.assert_allclose(np.linalg.norm(tangents[..., :3], axis=2), 1, atol=1e-12)
     uvs = mesh.corner_texcoords[:, :, 0] * (1, -1)
@@ -138,6 +138,10 @@ def test_frames_of_the_characters_are_orthonormal(name: str) -> None:
 def test_the_files_own_tangents_come_first() -> None:
     mesh = load_character(asset("human.glb")).mesh
     own = np.broadcast_to([0, 1.0, 0, -1], (mesh.num_faces, 3, 4))
-    assert corner_tangents(dataclasses.replace(mesh, corner_tangents=own), 0) is own
-    missing = corner_tangents(mesh, 5)
-    assert np.allclose(np.linalg.norm(missing[..., :3], axis=2), 1)
+    faces, uvs = np.arange(mesh.num_faces), mesh.corner_texcoords[:, :, 0]
+    made = corner_tangents(mesh, faces, uvs)
+    np.testing.assert_array_equal(corner_tangents(dataclasses.replace(mesh, corner_tangents=own), faces, uvs), own)
+    part = np.where(faces[:, None, None] < 9, own, np.nan)
+    mixed = corner_tangents(dataclasses.replace(mesh, corner_tangents=part), faces, uvs)
+    np.testing.assert_array_equal(mixed[:9], own[:9])
+    np.testing.assert_array_equal(mixed[9:], made[9:])

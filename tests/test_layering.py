@@ -12,7 +12,7 @@ MOST_FILES = 18  # in one folder
 # Each room may import from itself and from rooms before it; imports in functions and for types alone count too.
 RUNTIME = ("errors", "validation", "gltf", "animation", "asset", "scene", "gpu", "render", "crowd", "picking")
 PREPROCESS = (
-    *("errors", "arrays", "settings", "numerics", "progress", "mesh", "files", "load", "decimate", "straighten"),
+    *("errors", "arrays", "settings", "numerics", "progress", "mesh", "files", "load", "straighten", "decimate"),
     *("atlas", "bake", "erase", "fit", "export", "pipeline", "api", "commands", "cli", "__main__"),
 )
 ROOMS = {"runtime": RUNTIME, "preprocess": PREPROCESS}

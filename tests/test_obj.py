@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,8 @@ from preprocess.errors import InputError
 from preprocess.files.obj import read_obj, weld_texture_vertices, write_obj
 from preprocess.load.read_surface import read_surface
 from preprocess.mesh.seams import find_seams
+from preprocess.mesh.surface import TexturedSurface
+from runtime.gltf.limits import Limits
 from tests.builders_decimate import box, two_strips
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
@@ -33,6 +36,76 @@ def test_round_trip_is_exact(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["a.obj"]
 
 
+def areas(surface: TexturedSurface) -> np.ndarray:
+    corners = surface.positions[surface.faces]
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+
+
+def polygon_of(folder: Path, points: list[tuple[float, float]]) -> TexturedSurface:
+    """One face over points of the plane z = 0, its uvs the points themselves."""
+    lines = [f"v {x} {y} 0\nvt {x} {y}\n" for x, y in points]
+    corners = " ".join(f"{n}/{n}" for n in range(1, len(points) + 1))
+    return read_obj(write(folder, "".join(lines) + f"f {corners}\n"))
+
+
+@pytest.mark.parametrize(
+    ("points", "area"),
+    [
+        ([(0, 0), (4, 0), (4, 1), (1, 1), (1, 2), (4, 2), (4, 3), (0, 3)], 9.0),  # a C: its first corner sees all
+        ([(4, 0), (4, 1), (1, 1), (1, 2), (4, 2), (4, 3), (0, 3), (0, 0)], 9.0),  # the same, its first sees little
+        ([(0, 0), (2, 1), (0, 2), (1, 1)], 1.0),  # a dart, cut at its notch
+        ([(2, 1), (0, 2), (1, 1), (0, 0)], 1.0),
+        ([(4, 0), (4, 1), (3, 1), (2, 1), (1, 1), (1, 2), (4, 2), (4, 3), (2, 3), (0, 3), (0, 0), (2, 0)], 9.0),
+    ],
+)
+def test_concave_polygons_are_covered_once(tmp_path: Path, points: list[tuple[float, float]], area: float) -> None:
+    """By Gauss's formula for the area; corners in a line stay corners, so that neighbours that use them fit."""
+    surface = polygon_of(tmp_path, points)
+    assert len(surface.faces) == len(points) - 2
+    assert (areas(surface)[:, 2] > 0).all()
+    np.testing.assert_allclose(areas(surface)[:, 2].sum(), area, rtol=1e-12)
+    assert set(surface.faces.ravel().tolist()) == set(range(len(points)))
+
+
+def test_a_polygon_of_many_corners_in_a_line_stays_quick(tmp_path: Path) -> None:
+    line = [(x / 100, 1.0) for x in range(2999, 0, -1)]
+    points = [(0.0, 0.0), (30.0, 0.0), (30.0, 1.0), *line, (0.0, 1.0), (10.0, 0.5)]
+    start = time.process_time()
+    surface = polygon_of(tmp_path, points)
+    assert time.process_time() - start < 2.0
+    np.testing.assert_allclose(areas(surface)[:, 2].sum(), 30.0 - 5.0, rtol=1e-9)
+    assert len(surface.faces) == len(points) - 2 and (areas(surface)[:, 2] > 0).all()
+
+
+def test_polygons_that_cross_themselves_still_become_triangles(tmp_path: Path) -> None:
+    assert len(polygon_of(tmp_path, [(0, 0), (1, 1), (1, 0), (0, 1)]).faces) == 2
+
+
+def test_a_byte_order_mark_hides_no_line(tmp_path: Path) -> None:
+    (tmp_path / "a.obj").write_bytes(b"\xef\xbb\xbf" + f"{TRIANGLE}v 5 5 5\nf 1/1 2/2 3/3\n".encode())
+    assert read_obj(tmp_path / "a.obj").positions[[0, 3]].tolist() == [[0, 0, 0], [5, 5, 5]]
+
+
+def test_comments_after_numbers_and_a_second_coordinate_that_is_left_out(tmp_path: Path) -> None:
+    text = "v 0 0 0\nv 1 0 0 # second\nv 0 1 0\nvt 0\nvt 1 # u alone\nvt 0 1\nf 1/1 2/2 3/3\n"
+    surface = read_obj(write(tmp_path, text))
+    np.testing.assert_array_equal(surface.uvs, [[0, 1], [1, 1], [0, 0]])
+
+
+def test_numbers_beyond_the_limits_matter_where_faces_use_them(tmp_path: Path) -> None:
+    used = "f 1/1 2/2 3/3\n"
+    surface = read_obj(write(tmp_path, TRIANGLE + "v 1e160 nan 0\nvt 1e30 0\n" + used))
+    assert np.isfinite(surface.positions).all() and surface.faces.tolist() == [[0, 1, 2]]
+    with pytest.raises(InputError, match="line 1: 1 'v' lines are not finite or beyond 1e"):
+        read_obj(write(tmp_path, TRIANGLE.replace("v 0 0 0", "v 1e160 0 0") + used))
+    with pytest.raises(InputError, match="line 4: 1 'vt' lines are not finite or beyond 65536"):
+        read_obj(write(tmp_path, TRIANGLE.replace("vt 0 0", "vt 1e6 0") + used))
+    assert read_obj(write(tmp_path, TRIANGLE.replace("vt 0 0", "vt 1e6 0") + used), Limits(uv=1e7)).uvs.max() == 1e6
+    with pytest.raises(InputError, match="does not exist") as refusal:
+        read_obj(write(tmp_path, TRIANGLE + f"f 1/1 2/2 {'9' * 5000}/3\n"))
+    assert len(str(refusal.value)) < 300
+
+
 def test_v_is_turned_down(tmp_path: Path) -> None:
     surface = read_obj(write(tmp_path, TRIANGLE + "f 1/1 2/2 3/3\n"))
     np.testing.assert_array_equal(surface.uvs, [[0, 1], [1, 1], [0, 0]])
@@ -46,6 +119,11 @@ def test_v_is_turned_down(tmp_path: Path) -> None:
         "f -3/-3 -2/-2 -1/-1\n",
         "f 1/1\t2/2 \\\n 3/3\n",
         "  f   1/1 2/2 3/3  \r\n# comment\nusemtl x\ng y\n",
+        "f 1/1/ 2/2/ 3/3/\n",
+        "f 1/1 2/2 3/3 # the last\n",
+        "f 1/1 \\  \n2/2 \\\n 3/3\n",
+        "usemtl dir\\\nf 1/1 2/2 3/3\n",
+        "# ends in \\\nf 1/1 2/2 3/3\n",
     ],
 )
 def test_spellings_of_one_triangle(tmp_path: Path, faces: str) -> None:
@@ -110,7 +188,7 @@ def test_bad_files_are_refused_in_one_line(tmp_path: Path, text: str, words: str
 
 
 def test_missing_files_and_other_kinds(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="no such file"):
         read_surface(tmp_path / "none.obj")
     with pytest.raises(InputError, match="not a mesh that is read"):
         read_surface(tmp_path / "mesh.fbx")

@@ -1,4 +1,4 @@
-"""The base mesh of a set of charts: corners, boundary paths, polygons (method, section 4; Sander et al. 2003).
+"""The base mesh of a set of charts: corners, boundary paths, polygons (docs/method.md, section 4; Sander et al. 2003).
 
 A corner is a vertex where other than two cut edges meet, or one added so that the polygons form a valid base mesh:
 every path between two corners becomes one straight side of the polygons on both of its sides, two corners are

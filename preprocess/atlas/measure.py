@@ -66,7 +66,7 @@ def straight_share(surface: TexturedSurface) -> float:
     """Share of the seam length in edges of which at least one end can collapse along the seam.
 
     An end can where exactly two seam edges meet, on one straight line and with equal length ratios on both sides
-    (paper, section 5; method, section 5).
+    (paper, section 5; docs/method.md, section 5).
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""An atlas made for decimation: charts are convex polygons of a coarse base mesh (method, section 4).
+"""An atlas made for decimation: charts are convex polygons of a coarse base mesh (docs/method.md, section 4).
 
 Regions → disks → relaxed boundaries → corners and paths → convex polygons → maps without folds → packing. Every
 boundary path is one straight segment in both of its charts, each vertex at the same fraction of it on both sides, so

@@ -1,4 +1,4 @@
-"""Borders between colours along mesh edges, as the source paints them: palettes and painted lines (method, section 3).
+"""Borders between colours along mesh edges, as the source paints them: palettes, lines (docs/method.md, section 3).
 
 Both faces of an edge are asked for their base colour at the same points of it. Where the source's uvs run on, the
 answers are equal; where they jump, as between two cells of a palette, they tell whether the colours were meant to

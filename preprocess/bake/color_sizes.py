@@ -27,9 +27,11 @@ def resampled_size(mesh: SkinnedMesh, refs: list[TextureRef | None], resampled: 
     atlas_area = _areas(surface.uvs[surface.face_uvs])
     wanted = np.zeros(mesh.num_faces)
     for index, ref in enumerate(refs):
-        if ref is None or ref.texcoord >= mesh.corner_texcoords.shape[2]:
+        if ref is None:
             continue
-        faces = mesh.face_materials == index
+        faces = (mesh.face_materials == index) & mesh.has_texcoords(ref.texcoord)
+        if not faces.any():
+            continue
         height, width = ref.image.texels.shape[:2]
         wanted[faces] = _areas(transformed(mesh.corner_texcoords[faces][:, :, ref.texcoord], ref)) * width * height
     used = atlas_area > 0

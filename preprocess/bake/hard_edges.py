@@ -1,4 +1,4 @@
-"""Hard edges inside charts: where each corner samples the normal texture (method, section 3: a crease is no fault).
+"""Hard edges inside charts: where each corner samples the normal texture (docs/method.md, section 3).
 
 On both sides of a hard edge the surface has normals of its own. At a seam they lie apart in the atlas; inside a chart
 they are next to each other, and a bilinear sample less than a texel from the edge reads both sides. So the normal

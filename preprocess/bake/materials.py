@@ -47,6 +47,8 @@ class BakedTexture:
         Whether the stored values are sRGB-encoded.
     copied : bool
         Whether these are the source's own texels.
+    scale : float
+        What texels are multiplied by when drawn: emission may be stronger than one, stored texels may not.
     """
 
     name: str
@@ -54,6 +56,7 @@ class BakedTexture:
     format: str
     is_color: bool
     copied: bool
+    scale: float = 1.0
 
 
 def bake_materials(
@@ -103,7 +106,8 @@ def bake_materials(
                 f"{name} is {side} x {side}: {wanted} x {wanted} would keep every texel of the source; "
                 f"--color-size {wanted} makes it so, at the cost of time and memory"
             )
-        textures.append(BakedTexture(name, _bake(mesh, materials, name, cover(side, side)), "uint8", is_color, False))
+        texels, scale = _bake(mesh, materials, name, cover(side, side))
+        textures.append(BakedTexture(name, texels, "uint8", is_color, False, scale))
     return textures
 
 
@@ -148,8 +152,8 @@ def _is_packed(material: Material) -> bool:
     return both and material.occlusion.image is material.metallic_roughness.image  # type: ignore[union-attr]
 
 
-def _bake(mesh: SkinnedMesh, materials: tuple[Material, ...], name: str, coverage: Coverage) -> Floats:
-    """One channel group of all materials in the atlas, (H, W, 3 or 4), colours sRGB-encoded."""
+def _bake(mesh: SkinnedMesh, materials: tuple[Material, ...], name: str, coverage: Coverage) -> tuple[Floats, float]:
+    """One channel group of all materials in the atlas, (H, W, 3 or 4), colours sRGB-encoded; what it is stored over."""
     height, width = coverage.shape
     near = coverage.faces >= 0
     face_of_texel = coverage.faces[near]
@@ -159,12 +163,13 @@ def _bake(mesh: SkinnedMesh, materials: tuple[Material, ...], name: str, coverag
     _shade(values, name, materials, lookup)
     if name == "base_color" and mesh.corner_colors is not None:
         values *= interpolate_corners(coverage, mesh.corner_colors)[near]
-    values = np.clip(values, 0.0, 1.0)
+    scale = max(1.0, float(values[:, :3].max(initial=0.0))) if name == "emissive" else 1.0
+    values = np.clip(values / scale, 0.0, 1.0)
     if name != "orm":
         values[:, :3] = linear_to_srgb(values[:, :3])
     texels = np.zeros((height, width, 4 if blended else 3))
     texels[near] = values[:, : texels.shape[2]]
-    return fill_outside(texels, near)
+    return fill_outside(texels, near), scale
 
 
 def _shade(values: Floats, name: str, materials: tuple[Material, ...], lookup: _Lookup) -> None:
@@ -242,14 +247,16 @@ class _Lookup:
         self.gradients = _barycentric_gradients(uv_to_px(surface.uvs, *size_px)[surface.face_uvs])
 
     def raw(self, ref: TextureRef | None, rows: NDArray[np.integer], texels: Singles | None = None) -> Floats:
-        """Stored values, (N, 4); ones where there is no texture."""
+        """Stored values, (N, 4); ones where there is no texture, or no texture coordinates for it."""
         values = np.ones((len(rows), 4))
-        if ref is None or ref.texcoord >= self.mesh.corner_texcoords.shape[2]:
+        if ref is None:
             return values
+        seen = np.flatnonzero(self.mesh.has_texcoords(ref.texcoord)[self.faces[rows]])
         source = np.ascontiguousarray(ref.image.texels if texels is None else texels, np.float32)
-        for start in range(0, len(rows), POINTS_AT_A_TIME):
-            sampled = self._sample(ref, rows[start : start + POINTS_AT_A_TIME], source)
-            values[start : start + POINTS_AT_A_TIME, : sampled.shape[1]] = sampled
+        for start in range(0, len(seen), POINTS_AT_A_TIME):
+            some = seen[start : start + POINTS_AT_A_TIME]
+            sampled = self._sample(ref, rows[some], source)
+            values[some, : sampled.shape[1]] = sampled
         return values
 
     def _sample(self, ref: TextureRef, rows: NDArray[np.integer], source: Singles) -> Floats:
@@ -287,17 +294,26 @@ def _barycentric_gradients(corners_px: Floats) -> Floats:
 def normal_tangents(character: Character, mesh: SkinnedMesh) -> Floats | None:
     """Tangents of every corner, (F, 3, 4), each face's for the texture coordinates that its own normal map uses.
 
-    None where no face has a normal map.
+    They are those that the map is sampled at, its KHR_texture_transform applied. None where no face has a normal map;
+    any where one face has none.
     """
-    maps = {int(index): character.materials[index].normal for index in np.unique(mesh.face_materials)}
-    sets = sorted({ref.texcoord for ref in maps.values() if ref is not None})
-    if not sets:
+    groups: dict[tuple[int, bytes], list[int]] = {}
+    refs: dict[tuple[int, bytes], TextureRef] = {}
+    for index in np.unique(mesh.face_materials).tolist():
+        ref = character.materials[index].normal
+        if ref is not None:
+            key = (ref.texcoord, np.asarray(ref.transform).tobytes())
+            groups.setdefault(key, []).append(index)
+            refs[key] = ref
+    if not groups:
         return None
-    tangents = corner_tangents(mesh, sets[0])
-    for texcoord in sets[1:]:
-        users = [index for index, ref in maps.items() if ref is not None and ref.texcoord == texcoord]
-        has = np.isin(mesh.face_materials, users)[:, None, None]
-        tangents = np.where(has, corner_tangents(mesh, texcoord), tangents)
+    tangents = np.tile([1.0, 0.0, 0.0, 1.0], (mesh.num_faces, 3, 1))
+    for key, users in groups.items():
+        ref = refs[key]
+        faces = np.flatnonzero(np.isin(mesh.face_materials, users) & mesh.has_texcoords(ref.texcoord))
+        if len(faces):
+            uvs = transformed(mesh.corner_texcoords[faces][:, :, ref.texcoord], ref)
+            tangents[faces] = corner_tangents(mesh, faces, uvs)
     return tangents
 
 
@@ -314,8 +330,12 @@ def bake_normals(
 
     Parameters
     ----------
+    character : Character
+    mesh : SkinnedMesh
+        With the uvs of the atlas.
     tangents : (F, 3, 4) float or None
         `normal_tangents`.
+    coverage : Coverage
     """
     near = coverage.faces >= 0
     height, width = coverage.shape
@@ -358,7 +378,8 @@ def normals_at(
         material = character.materials[index]
         if material.normal is None:
             continue
-        rows = np.flatnonzero(mesh.face_materials[faces] == index)
+        mapped = (mesh.face_materials == index) & mesh.has_texcoords(material.normal.texcoord)
+        rows = np.flatnonzero(mapped[faces])
         local = lookup.raw(material.normal, rows)[:, :3] * 2.0 - 1.0
         local[:, :2] *= material.normal_scale
         n, t = normals[rows], frames[rows, :3]

@@ -1,4 +1,4 @@
-"""Points of the surface beside seams, where a texture is held to what the source shows there (method, section 3).
+"""Points beside seams, where a texture is held to what the source shows there (docs/method.md, section 3).
 
 Closing a seam moves the texels that it reads, and what lies on narrow faces beside a straightened seam falls between
 texel centres. Points that are even over the surface, not over the atlas, weigh both as they are seen.

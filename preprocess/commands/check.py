@@ -18,8 +18,7 @@ from preprocess.arrays import Floats
 from preprocess.bake.hard_edges import NormalUvs, bake_surface, move_seams
 from preprocess.erase import measure_seams
 from preprocess.errors import InputError
-from preprocess.export.folder import hash_file
-from preprocess.files.output_folder import MANIFEST
+from preprocess.files.output_folder import MANIFEST, hash_file
 from preprocess.fit.weight_quadtree import measure_jump
 from preprocess.fit.weight_stack import unpack_weights
 from preprocess.mesh.seams import Seams, find_seams

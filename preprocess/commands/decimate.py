@@ -16,6 +16,8 @@ from preprocess.load.read_surface import read_surface
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.progress import tell_of_compiling
 
+TOLERANCE_PX, MOST_SEAM_TEXELS = 1024, 16  # the texture that --seam-tolerance is counted in, and how many at most
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
@@ -39,6 +41,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=Strictness.SEAMLESS.value,
         help="keep nothing of the uv map's outlines, their shape, or their timing too (default: seamless)",
     )
+    parser.add_argument(
+        "--seam-tolerance",
+        type=float,
+        default=None,
+        metavar="TEXELS",
+        help="seams that are straight and in step to within so many texels of a 1024 x 1024 texture count as that "
+        "(default: what the digits of the file's texture coordinates leave open)",
+    )
 
 
 def _straightened(
@@ -54,9 +64,18 @@ def _straightened(
     return result.surface, looks.of(result.split.face_source) if looks else None
 
 
+def _seam_tolerance_uv(arguments: argparse.Namespace) -> float | None:
+    texels = arguments.seam_tolerance
+    if texels is None:
+        return None
+    if not 0.0 <= texels <= MOST_SEAM_TEXELS:
+        raise InputError(f"--seam-tolerance {texels:g} is not between 0 and {MOST_SEAM_TEXELS}: give texels")
+    return float(texels) / TOLERANCE_PX
+
+
 def _decimated(surface: TexturedSurface, arguments: argparse.Namespace, num_faces: int) -> tuple[Chain, str]:
     """The chain and what was asked for, in words."""
-    options = DecimateOptions(strict=Strictness(arguments.strict))
+    options = DecimateOptions(strict=Strictness(arguments.strict), seam_tolerance_uv=_seam_tolerance_uv(arguments))
     if arguments.error is not None:
         return decimate_within(surface, arguments.error, options), f"error {arguments.error:g} m"
     target = arguments.faces

@@ -1,4 +1,4 @@
-"""Decimation as a stage: a chain of levels in one continuous run (paper, section 5; method, section 5).
+"""Decimation as a stage: a chain of levels in one continuous run (paper, section 5; docs/method.md, section 5).
 
 Each level is a simplification of the one before: the run goes on from full detail to the floor, and what is left at
 each target is kept. The automatic chain halves the faces from level to level, in three steps where they are few.
@@ -18,7 +18,7 @@ from preprocess.decimate.levels import PEAK_WEIGHT, Chain, DecimateOptions, Lod,
 from preprocess.decimate.lower_bound import count_floor
 from preprocess.decimate.measure import Distances, Reference, make_reference, measure
 from preprocess.decimate.minimax import Try, make_even_level, make_level
-from preprocess.decimate.state import Engine, make_engine
+from preprocess.decimate.state import ROUNDING_UV, Engine, make_engine
 from preprocess.decimate.topology import build_half_edges, source_uvs
 from preprocess.errors import InputError
 from preprocess.mesh.surface import TexturedSurface
@@ -257,7 +257,7 @@ def _relaxed_levels(engine: Engine, reference: Reference, finest: Lod, options: 
         strayed_uv = engine.deviation_uv
         last = replace(
             best_lod,
-            exact=strayed_uv <= options.seam_tolerance_uv and not dropped,
+            exact=strayed_uv <= ROUNDING_UV and not dropped,
             uv_bound_px=strayed_uv * options.texture_px,
             dropped_parts=dropped,
         )
@@ -357,7 +357,7 @@ def decimate(
     return Chain(tuple(lods), floor, blocked, engine.repairs, tuple(warnings))
 
 
-def floor_faces(surface: TexturedSurface, tolerance_uv: float = 1e-9) -> int:
+def floor_faces(surface: TexturedSurface, tolerance_uv: float = ROUNDING_UV) -> int:
     """Faces at which no exact collapse can be left, from the charts' corners alone.
 
     A chart of Euler characteristic c whose outline keeps k corners has at least k - 2 c faces. The run may stop

@@ -39,9 +39,9 @@ class DecimateOptions:
     uv_weight_rel : float
         Weight of uv against xyz in the 5D quadric. 1 measures a texture slid over the surface by a metre like a
         surface moved by a metre; far less keeps the silhouette, which is what the eye sees first.
-    seam_tolerance_uv : float
-        Largest uv distance, summed over all collapses, by which a seam may leave its line and its timing at an exact
-        level: room for the rounding of uvs that are straight, and far below what any texture resolves.
+    seam_tolerance_uv : float or None
+        Seams that are straight and matched to within this uv distance are made so before anything else. None takes
+        what the uvs' own precision leaves open (seam_precision.py), far below what any texture resolves.
     peak_weight : float or None
         How much the largest deviation of a collapse counts beside its mean, which the quadrics know: at 1 a collapse
         costs what it would if all of an average star of faces deviated as much. 0 leaves it to the quadrics, which is
@@ -62,7 +62,7 @@ class DecimateOptions:
     ratios: tuple[float, ...] | None = None
     min_faces: int = 50
     uv_weight_rel: float = 0.05
-    seam_tolerance_uv: float = 1e-9
+    seam_tolerance_uv: float | None = None
     peak_weight: float | None = None
     lifted: bool = True
     relaxed_px: float = 0.5
@@ -92,10 +92,10 @@ class Lod:
         Mean angle between the normals there; NaN where not measured.
     exact : bool
         Whether every seam of it is a seam of the full mesh, retimed by nothing but rounding.
-    dropped_parts : int
-        Whole parts of the mesh left out because they are smaller than the level's error.
     uv_bound_px : float
         How far seams left their lines, in texels of the finest mip; 0 (rounding aside) where exact.
+    dropped_parts : int
+        Whole parts of the mesh left out because they are smaller than the level's error.
     fetch_uvs : (V, 2) float64 or None
         Where each surface vertex fetches its geometry, if not at its canonical uv.
     """

@@ -27,14 +27,17 @@ from preprocess.decimate.lower_bound import count_floor
 from preprocess.decimate.quadrics import SIZE, accumulate_faces
 from preprocess.decimate.refinement import polish
 from preprocess.decimate.rules import Mesh
+from preprocess.decimate.seam_precision import straighten_within, written_tolerance_uv
 from preprocess.decimate.skinning import Skinning, make_skinning
-from preprocess.decimate.topology import TAIL, TWIN, WEDGE, HalfEdges, build_half_edges
-from preprocess.decimate.vertex_cache import reorder
+from preprocess.decimate.topology import TAIL, TWIN, WEDGE, HalfEdges, build_half_edges, source_uvs
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.mesh.texels import sample_bilinear
+from preprocess.mesh.vertex_cache import reorder
 
 # Faces may turn by at most about 78 degrees in one collapse.
 MIN_NORMAL_DOT = 0.2
+# Uv distance, summed over all collapses, by which a seam may leave its line at an exact level: float64's rounding.
+ROUNDING_UV = 1e-9
 # Least height of a triangle over its longest side, in uv of the unit square: far above the rounding of float32 uvs.
 MIN_UV_HEIGHT = 4e-7
 # Least height of a triangle over its longest side in space, as a fraction of that side.
@@ -91,6 +94,13 @@ def _pose(
     others = np.setdiff1d(np.arange(len(matrices)), chosen)
     witnesses = make_witnesses(half_edges, uv, np.concatenate([xyz[None], posed[chosen]]))
     return matrices[np.r_[chosen, others]], witnesses
+
+
+def _seam_tolerance_uv(uvs: Floats, options: DecimateOptions) -> float:
+    """How far seams may be from straight and matched and still count as that."""
+    if options.strict is Strictness.NONE:
+        return 0.0
+    return written_tolerance_uv(uvs) if options.seam_tolerance_uv is None else options.seam_tolerance_uv
 
 
 @dataclass(frozen=True)
@@ -307,7 +317,8 @@ def make_engine(
     low, high = used.min(axis=0), used.max(axis=0)
     centre, scale = 0.5 * (low + high), float(np.linalg.norm(high - low)) or 1.0
     texture = np.zeros((0, 0, 3)) if position_texture is None else (np.asarray(position_texture) - centre) / scale
-    uv = np.ascontiguousarray(surface.uvs[half_edges.wedge_source], np.float64)
+    written_uv = source_uvs(half_edges, surface)
+    uv = straighten_within(half_edges, used, written_uv, _seam_tolerance_uv(written_uv, options))
     xyz = np.ascontiguousarray((used - centre) / scale)
 
     corner_uv = uv[half_edges.wedge[: 3 * num_faces].reshape(-1, 3)]
@@ -322,7 +333,7 @@ def make_engine(
 
     settings = np.zeros(8)
     settings[rules.UV_SCALE] = max(options.uv_weight_rel, 1e-6) * metres_per_uv
-    settings[rules.SEAM_TOLERANCE] = options.seam_tolerance_uv * max(extent_uv, 1.0)
+    settings[rules.SEAM_TOLERANCE] = ROUNDING_UV * max(extent_uv, 1.0)
     settings[rules.STRICT] = _STRICT[options.strict]
     settings[rules.MIN_NORMAL_DOT] = MIN_NORMAL_DOT
     settings[rules.MIN_UV_HEIGHT] = MIN_UV_HEIGHT * min(extent_uv, 1.0)

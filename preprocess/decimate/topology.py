@@ -25,6 +25,7 @@ Longs = NDArray[np.int64]
 
 TAIL, WEDGE, TWIN = 0, 1, 2  # columns of the table of half-edges
 NO_WEDGE = -1  # the wedge of a virtual face's corner
+LARGEST = 1e60  # quadrics multiply five coordinates: beyond it they leave float64's range
 
 
 class HalfEdges(NamedTuple):
@@ -137,20 +138,26 @@ def _label_fans(tail, twin):
 
 
 def check_surface(surface: TexturedSurface) -> None:
-    """Refuse what no collapse can work on.
+    """Refuse what no collapse can work on; vertices that no face uses do not matter.
 
     Raises
     ------
     InputError
-        If the mesh has no faces, or positions or uvs are not finite.
+        If the mesh has no faces, or positions or uvs are not finite, or so large that their squares are not.
     """
     if not len(surface.faces):
         raise InputError("the mesh has no faces: give a mesh with at least one triangle")
-    for values, what in ((surface.positions, "positions"), (surface.uvs, "texture coordinates")):
-        bad = ~np.isfinite(values).all(axis=1)
-        if bad.any():
-            first = int(np.flatnonzero(bad)[0])
-            raise InputError(f"{int(bad.sum())} {what} are not finite (the first is number {first}): repair the mesh")
+    for values, ids, what in (
+        (surface.positions, surface.faces, "positions"),
+        (surface.uvs, surface.face_uvs, "texture coordinates"),
+    ):
+        used = np.unique(ids)
+        bad = used[~(np.abs(values[used]) < LARGEST).all(axis=1)]
+        if len(bad):
+            raise InputError(
+                f"{len(bad)} {what} are not finite or beyond {LARGEST:g} (the first is number {bad[0]}): "
+                "repair the mesh"
+            )
 
 
 def _clean_faces(surface: TexturedSurface) -> tuple[NDArray[np.int64], int, int]:

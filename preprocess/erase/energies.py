@@ -1,4 +1,4 @@
-"""The energies along edges (paper, section 4; method, section 3), one function each.
+"""The energies along edges (paper, section 4; docs/method.md, section 3), one function each.
 
 Every one is an integral of a squared polynomial along edges, so Gauss-Legendre points of sufficient degree turn it,
 exactly, into a sum of squares |R p - t|². Each function returns the sparse rows R, over all texels, and where there

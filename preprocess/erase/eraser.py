@@ -1,4 +1,4 @@
-"""Seam erasure of textures with a prepared system (paper, section 4; method, sections 2 and 3): the driver.
+"""Seam erasure of textures with a prepared system (paper, section 4; docs/method.md, sections 2 and 3): the driver.
 
 Gather the texels that may change, form the right-hand side, solve for their change, carry it out to the texels between
 them; for integer formats, round such that the stored texels are seamless. See `plan` for the preparation.

@@ -1,4 +1,4 @@
-"""Edges cut where a bilinear sample changes its four texels (paper, section 4; method, section 2).
+"""Edges cut where a bilinear sample changes its four texels (paper, section 4; docs/method.md, section 2).
 
 A sample that runs along a uv edge reads one fixed 2 x 2 cell of texels until it crosses a line through texel centres.
 Between two crossings its value is a quadratic polynomial in the edge parameter, linear in the texels. For a seam both

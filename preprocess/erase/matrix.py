@@ -1,4 +1,4 @@
-"""The matrix of all energies on the grid's unknowns, and the force of the outside gradient (method, section 3).
+"""The matrix of all energies on the grid's unknowns, and the force of the outside gradient (docs/method.md, section 3).
 
 Every energy is a sum over small elements: a grid edge, a square of the quadtree, an interval of a seam. Each entry of
 the symmetric matrix is gathered once, for one of its two places.

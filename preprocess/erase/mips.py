@@ -1,4 +1,4 @@
-"""Mip chains whose every level is seamless (method, section 3).
+"""Mip chains whose every level is seamless (docs/method.md, section 3).
 
 Box filtering alone mixes charts with their neighbours and with the background, and half the resolution moves every
 texel relative to the seam. Here a level is the box filter of the one above over its used texels alone, in linear light

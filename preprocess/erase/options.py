@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Weights:
-    """Weights of the energies (paper, section 4; method, section 3). Dimensionless.
+    """Weights of the energies (paper, section 4; docs/method.md, section 3). Dimensionless.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Rounding to integers that keeps seams closed (method, section 3: what is stored is seamless).
+"""Rounding to integers that keeps seams closed (docs/method.md, section 3: what is stored is seamless).
 
 Plain rounding moves each of the eight texels that meet at a seam point by up to half a step, so the two sides may
 part by a whole one. Here every texel of the seam strip may take any integer near its wanted value, and a local search

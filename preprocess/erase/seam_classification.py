@@ -1,4 +1,4 @@
-"""Which seams are faults (method, section 3: not every uv seam is one).
+"""Which seams are faults (docs/method.md, section 3: not every uv seam is one).
 
 | signal | joined | left |
 |---|---|---|

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -19,11 +18,12 @@ from preprocess.export.ktx2 import write_ktx2
 from preprocess.export.lod_vertices import LodMesh
 from preprocess.export.tangent_normals import atlas_tangents, bake_tangent_normals, has_relief
 from preprocess.files.images import Image, write_image
-from preprocess.files.output_folder import MANIFEST
+from preprocess.files.output_folder import MANIFEST, describe_contents
 from preprocess.fit.textures import StoredTexture
 from preprocess.load import Character
+from preprocess.mesh.surface import SkinnedMesh
 from preprocess.settings import Settings
-from runtime.animation.bounds import clip_bounds, joint_boxes
+from runtime.animation.bounds import clip_bounds, grown_boxes, joint_boxes, weight_ranges
 from runtime.asset.manifest import SCHEMA
 from runtime.asset.morphs import pack_morphs
 from runtime.asset.weight_quadtree import WeightDetails, pack_details
@@ -126,11 +126,8 @@ def write_folder(
         "timings": {name: round(seconds, 3) for name, seconds in timings.items()},
         "warnings": list(warnings),
     }
-    manifest["files"] = {
-        path.relative_to(folder).as_posix(): hash_file(path) for path in sorted(folder.rglob("*")) if path.is_file()
-    }
-    text = json.dumps(_finite(manifest), indent=1, ensure_ascii=False)
-    (folder / MANIFEST).write_text(text + "\n", encoding="utf-8")
+    text = json.dumps(_finite(manifest | describe_contents(folder)), indent=1, ensure_ascii=False)
+    (folder / MANIFEST).write_text(text + "\n", encoding="utf-8", errors="replace")
     return rows
 
 
@@ -139,12 +136,6 @@ def _write_relief(folder: Path, finest: LodMesh, textures: Sequence[StoredTextur
     normals = next(texture.levels[0] for texture in textures if texture.name == "normal")
     write_image(folder / RELIEF, Image(bake_tangent_normals(finest, np.asarray(normals, np.float64)), "uint8"))
     return {"file": RELIEF, **({"uvs": "normal"} if finest.normal_uvs is not None else {})}
-
-
-def hash_file(path: Path) -> str:
-    """SHA-256 of a file's bytes, hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _row(node: str, lod: Lod) -> LodRow:
@@ -208,19 +199,22 @@ def _write_morphs(
         return {}
     image, entries = pack_morphs(morphs.targets)
     write_image(folder / MORPHS, Image(image / float(np.iinfo(image.dtype).max), "uint16"))
-    mesh = atlas.mesh
-    for entry, morph in zip(entries, mesh.morphs):
-        boxes = joint_boxes(
-            morph.dense_shifts(mesh.num_vertices),
-            mesh.joint_indices,
-            mesh.joint_weights,
-            num_joints,
-            faces=mesh.surface.faces,
-            margin_m=REACH_MARGIN * entry["shift_m"],
-        )
-        moved = np.isfinite(boxes).all(axis=(1, 2)) & (np.abs(boxes) > REACH_MARGIN * entry["shift_m"]).any(axis=(1, 2))
-        entry["reach"] = [[int(joint), *boxes[joint].tolist()] for joint in np.flatnonzero(moved)]
+    for entry, reach in zip(entries, morph_reaches(atlas.mesh, num_joints)):
+        moved = reach.any(axis=(1, 2))
+        entry["reach"] = [[int(joint), *reach[joint].tolist()] for joint in np.flatnonzero(moved)]
     return {"morphs": {"file": MORPHS, "targets": entries}}
+
+
+def morph_reaches(mesh: SkinnedMesh, num_joints: int) -> Floats:
+    """How far each morph of weight one moves what each joint carries, (M, J, 2, 3): least and greatest shift."""
+    reaches = np.zeros((len(mesh.morphs), num_joints, 2, 3))
+    for number, morph in enumerate(mesh.morphs):
+        shifts = morph.dense_shifts(mesh.num_vertices)
+        boxes = joint_boxes(shifts, mesh.joint_indices, mesh.joint_weights, num_joints, faces=mesh.surface.faces)
+        margin = REACH_MARGIN * float(np.abs(shifts).max(initial=0.0))
+        moved = np.isfinite(boxes).all(axis=(1, 2)) & boxes.any(axis=(1, 2))
+        reaches[number, moved] = boxes[moved] + np.array([[-margin], [margin]])
+    return reaches
 
 
 def _bounds(character: Character, atlas: Atlas) -> dict[str, Any]:
@@ -235,10 +229,16 @@ def _bounds(character: Character, atlas: Atlas) -> dict[str, Any]:
         faces=mesh.surface.faces,
         margin_m=BOUNDS_MARGIN_REL * mesh.surface.diagonal_m,
     )
+    reaches = morph_reaches(mesh, character.skeleton.num_joints)
     return {
         "bind": [positions.min(axis=0).tolist(), positions.max(axis=0).tolist()],
         "joints": [box.tolist() if np.isfinite(box).all() else None for box in boxes],
-        "clips": {clip.name: clip_bounds(character.skeleton, clip, boxes).tolist() for clip in character.clips},
+        "clips": {
+            clip.name: clip_bounds(
+                character.skeleton, clip, grown_boxes(boxes, reaches, weight_ranges(clip, character.skeleton))
+            ).tolist()
+            for clip in character.clips
+        },
     }
 
 

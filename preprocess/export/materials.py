@@ -49,7 +49,7 @@ def describe_material(material: Material, textures: Mapping[str, Mapping[str, An
     if _is_baked(textures, "orm"):
         pbr["metallicFactor"] = pbr["roughnessFactor"] = occlusion_strength = 1.0
     if _is_baked(textures, "emissive"):
-        emissive = np.ones(3)
+        emissive = np.full(3, textures["emissive"].get("scale", 1.0))
     index = texture_indices(textures)
 
     def texture(name: str) -> dict[str, int]:

@@ -23,9 +23,16 @@ from numpy.typing import NDArray
 from preprocess.arrays import Floats, Ints
 from preprocess.errors import InputError
 from preprocess.files.obj_materials import ObjLooks
+from preprocess.files.polygons import cut_polygons
 from preprocess.mesh.surface import TexturedSurface
+from runtime.errors import AssetError
+from runtime.gltf.limits import LIMITS, Limits
+from runtime.gltf.local_files import read_regular
 
 _NEWLINE, _SPACE, _SLASH = 10, 32, 47
+_BREAK = re.compile(rb"\\ *\n")
+_CONTINUED = re.compile(rb"^(?:v|vt|vn|vp|f|l|p) [^\n]*?\\ *\n(?:[^\n]*?\\ *\n)*", re.MULTILINE)
+_COMMENT = re.compile(rb"^((?:v|vt|vn|f) [^#\n]*)#[^\n]*", re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -69,27 +76,50 @@ def _numbers(text: bytes, expected: int, dtype: type, path: Path, keyword: str) 
     return values
 
 
-def _read_vectors(records: _Records, size: int, path: Path, keyword: str) -> Floats:
-    """The first `size` numbers of each line, (N, size); later ones (w, vertex colours) are ignored."""
-    short = records.tokens_per_line < size
+def _read_vectors(records: _Records, size: int, least: int, path: Path, keyword: str) -> Floats:
+    """The first `size` numbers of each line, (N, size); later ones (w, vertex colours) are ignored.
+
+    A line may have as few as `least`: the others are 0, as the format has it.
+    """
+    short = records.tokens_per_line < least
     if short.any():
         line = int(records.lines[np.flatnonzero(short)[0]])
-        raise InputError(f"{path.name}, line {line}: '{keyword}' needs {size} numbers: export the OBJ again")
-    values = _numbers(records.text, int(records.tokens_per_line.sum()), np.float64, path, keyword)
+        raise InputError(f"{path.name}, line {line}: '{keyword}' needs {least} numbers: export the OBJ again")
+    values = np.r_[_numbers(records.text, int(records.tokens_per_line.sum()), np.float64, path, keyword), 0.0]
     first = np.r_[0, np.cumsum(records.tokens_per_line)][:-1]
-    vectors = values[first[:, None] + np.arange(size)]
-    bad = ~np.isfinite(vectors).all(axis=1)
-    if bad.any():
-        line = int(records.lines[np.flatnonzero(bad)[0]])
+    columns = np.arange(size)
+    there = columns < records.tokens_per_line[:, None]
+    return values[np.where(there, first[:, None] + columns, -1)]
+
+
+def _check_range(
+    vectors: Floats, used: NDArray[np.integer], most: float, records: _Records, path: Path, keyword: str
+) -> Floats:
+    """The vectors, zeros for those that no face uses and that are out of range.
+
+    Raises
+    ------
+    InputError
+        If one that a face uses is.
+    """
+    bad = np.logical_or.reduce(~(np.abs(vectors) <= most), axis=1)
+    if not bad.any():
+        return vectors
+    needed = np.zeros(len(vectors), bool)
+    needed[used] = True
+    if (bad & needed).any():
+        line = int(records.lines[np.flatnonzero(bad & needed)[0]])
         raise InputError(
-            f"{path.name}, line {line}: {int(bad.sum())} '{keyword}' lines are not finite: repair the mesh first"
+            f"{path.name}, line {line}: {int((bad & needed).sum())} '{keyword}' lines are not finite or beyond "
+            f"{most:g}: repair the mesh first"
         )
-    return vectors
+    return np.where(bad[:, None], 0.0, vectors)
 
 
 def _read_corners(records: _Records, path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Position and texture index of every corner as the file writes them (0 where a corner has no texture index)."""
-    text = np.frombuffer(records.text.replace(b"//", b"/0/"), np.uint8).copy()
+    written = records.text.replace(b"//", b"/0/").replace(b"/ ", b" ").replace(b"/\n", b"\n")
+    text = np.frombuffer(written, np.uint8).copy()
     blank = (text == _SPACE) | (text == _NEWLINE)
     corner_starts = np.flatnonzero(~blank & np.r_[True, blank[:-1]]) if len(text) else np.zeros(0, np.int64)
     slash = text == _SLASH
@@ -119,15 +149,6 @@ def _absolute(
     return absolute
 
 
-def _fan(tokens_per_line: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Corner numbers of the triangles that fan out from each polygon's first corner, (F, 3)."""
-    first = np.r_[0, np.cumsum(tokens_per_line)][:-1]
-    triangles = tokens_per_line - 2
-    origin = np.repeat(first, triangles)
-    step = np.arange(int(triangles.sum())) - np.repeat(np.r_[0, np.cumsum(triangles)][:-1], triangles)
-    return np.stack([origin, origin + step + 1, origin + step + 2], axis=1)
-
-
 def weld_texture_vertices(faces: Ints, uvs: Floats, corner_uvs: NDArray[np.integer]) -> tuple[Floats, Ints]:
     """Make each texture vertex one (surface vertex, uv) pair, in the order of the uvs given.
 
@@ -154,24 +175,34 @@ def weld_texture_vertices(faces: Ints, uvs: Floats, corner_uvs: NDArray[np.integ
 
 
 def clean_lines(data: bytes) -> bytes:
-    """An OBJ file's text with plain line ends, spaces for tabs, continued lines joined and nothing before keywords."""
-    data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").replace(b"\t", b" ").replace(b"\\\n", b" ") + b"\n"
+    """An OBJ file's text with plain line ends, spaces for tabs and nothing before keywords.
+
+    Lines of numbers that end in a backslash are joined with the next, and lose their comments. Names may end in a
+    backslash (paths of Windows) and hold any sign.
+    """
+    data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n").replace(b"\t", b" ") + b"\n"
     if b"\n " in data or data[:1] == b" ":
         data = b"\n".join(line.strip() for line in data.split(b"\n"))
+    if b"\\" in data:
+        data = _CONTINUED.sub(lambda found: _BREAK.sub(b" ", found[0]), data)
+    if b"#" in data:
+        data = _COMMENT.sub(rb"\1", data)
     return data
 
 
-def read_obj(path: Path) -> TexturedSurface:
-    """Read the one textured surface of an OBJ file; polygons are cut into fans.
+def read_obj(path: Path, limits: Limits = LIMITS) -> TexturedSurface:
+    """Read the one textured surface of an OBJ file; polygons are cut into triangles.
 
     Parameters
     ----------
     path : Path
+    limits : Limits
 
     Returns
     -------
     TexturedSurface
-        Positions as in the file (none welded, none dropped); uvs welded by (position, value), v turned down.
+        Positions as in the file (none welded, none dropped; one out of range that no face uses is at the origin); uvs
+        welded by (position, value), v turned down.
 
     Raises
     ------
@@ -180,10 +211,7 @@ def read_obj(path: Path) -> TexturedSurface:
         that means nothing.
     """
     path = Path(path)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}): give an existing OBJ file") from error
+    data = _read_file(path, limits)
     if b"\0" in data[:4096]:
         raise InputError(f"{path.name}: not an OBJ file (it is binary): give an OBJ or glTF mesh")
     data = clean_lines(data)
@@ -200,17 +228,20 @@ def read_obj(path: Path) -> TexturedSurface:
         line = int(face_lines.lines[np.flatnonzero(short)[0]])
         raise InputError(f"{path.name}, line {line}: a face needs three corners: export the OBJ again")
 
-    positions = _read_vectors(position_lines, 3, path, "v")
-    file_uvs = _read_vectors(uv_lines, 2, path, "vt")
+    positions = _read_vectors(position_lines, 3, 3, path, "v")
+    file_uvs = _read_vectors(uv_lines, 2, 1, path, "vt")
     corner_positions, corner_uvs = _read_corners(face_lines, path)
     line_of_corner = np.repeat(face_lines.lines, face_lines.tokens_per_line)
     missing = corner_uvs == 0
     if missing.any():
         line = int(line_of_corner[np.flatnonzero(missing)[0]])
         raise InputError(f"{path.name}, line {line}: a face has no texture coordinates (vt): export it with uvs")
-    triangles = _fan(face_lines.tokens_per_line)
-    faces = _absolute(corner_positions, line_of_corner, position_lines.lines, path, "vertex")[triangles]
-    face_uvs = _absolute(corner_uvs, line_of_corner, uv_lines.lines, path, "texture vertex")[triangles]
+    corner_positions = _absolute(corner_positions, line_of_corner, position_lines.lines, path, "vertex")
+    corner_uvs = _absolute(corner_uvs, line_of_corner, uv_lines.lines, path, "texture vertex")
+    positions = _check_range(positions, corner_positions, limits.number, position_lines, path, "v")
+    file_uvs = _check_range(file_uvs, corner_uvs, limits.uv, uv_lines, path, "vt")
+    triangles = cut_polygons(positions[corner_positions], face_lines.tokens_per_line)
+    faces, face_uvs = corner_positions[triangles], corner_uvs[triangles]
 
     file_uvs = np.stack([file_uvs[:, 0], 1.0 - file_uvs[:, 1]], axis=1)
     uvs, welded = weld_texture_vertices(faces.astype(np.int32), file_uvs, face_uvs)
@@ -219,7 +250,14 @@ def read_obj(path: Path) -> TexturedSurface:
     return surface
 
 
-def read_looks(path: Path) -> ObjLooks | None:
+def _read_file(path: Path, limits: Limits) -> bytes:
+    try:
+        return read_regular(path, limits.file_bytes)
+    except AssetError as error:
+        raise InputError(error) from None
+
+
+def read_looks(path: Path, limits: Limits = LIMITS) -> ObjLooks | None:
     """Materials and smoothness of the faces that `read_obj` gives, in its order; None for a file that is no OBJ.
 
     Raises
@@ -230,10 +268,7 @@ def read_looks(path: Path) -> ObjLooks | None:
     path = Path(path)
     if path.suffix.lower() != ".obj":
         return None
-    try:
-        data = clean_lines(path.read_bytes())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}): give an existing OBJ file") from error
+    data = clean_lines(_read_file(path, limits))
     buffer = np.frombuffer(data, np.uint8)
     breaks = np.flatnonzero(buffer == _NEWLINE)
     faces = _select_lines(buffer, np.r_[0, breaks[:-1] + 1], b"f")

@@ -1,8 +1,9 @@
 """Canonical uvs for vertices that the position texture misses: places outside all charts, with a texel of their own.
 
 Where more vertices meet in a 2 x 2 cell than it can tell apart, no texture of that size holds them all. But a vertex
-need not fetch its geometry inside its chart: every copy of it fetches at its canonical uv (method, section 6), and any
-place that no triangle reads will do. So the few vertices that stay off are given free texels.
+need not fetch its geometry inside its chart: every copy of it fetches at its canonical uv (docs/method.md, section 6),
+and any place that no triangle reads will do. So the few vertices that stay off are given free texels.
+
 Letters in shapes: V vertices of a level, N parked points.
 """
 

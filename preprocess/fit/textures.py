@@ -247,6 +247,8 @@ class TextureStage:
             erased_on = self._erased_on(decision, self.normal_uvs if self.colors_moved else None)
         # What is copied lacks the material's factors: the model keeps them (model_materials.py).
         extra: dict[str, Any] = {"copied": texture.copied}
+        if texture.scale != 1.0:
+            extra["scale"] = texture.scale
         if self.colors_moved:
             extra["uvs"] = "normal"
         job = _Job(texture.name, texture.texels, texture.format, 3 if texture.is_color else 0, decision, extra)

@@ -48,8 +48,15 @@ class Material:
 
     Attributes
     ----------
+    name : str
+    base_color_factor : four floats
+    metallic_factor, roughness_factor : float
     emissive_factor : three floats, KHR_materials_emissive_strength multiplied in
+    normal_scale, occlusion_strength : float
     alpha_mode : "OPAQUE", "MASK" or "BLEND"
+    alpha_cutoff : float
+    double_sided, unlit : bool
+    base_color, metallic_roughness, normal, occlusion, emissive : TextureRef or None
     """
 
     name: str

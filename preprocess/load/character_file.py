@@ -12,11 +12,11 @@ from pathlib import Path
 
 from preprocess.errors import InputError
 from preprocess.load.character import Character
-from preprocess.load.materials import read_materials
+from preprocess.load.materials import note_missing_texcoords, read_materials
 from preprocess.load.scene import read_scene
 from preprocess.load.unify import unify
 from runtime.animation.clip import WEIGHTS, Clip, read_clips
-from runtime.animation.skeleton import read_skeleton
+from runtime.animation.skeleton import distinct_names, read_skeleton
 from runtime.errors import AssetError
 from runtime.gltf.document import Document, read_document
 
@@ -62,24 +62,22 @@ def _dropped_channels(document: Document, clips: tuple[Clip, ...]) -> list[str]:
 
 def _distinct_clips(clips: tuple[Clip, ...], warnings: list[str]) -> tuple[Clip, ...]:
     """Clips that move a joint, each with a name of its own: what glTF can hold, and what names can tell apart."""
-    kept: dict[str, Clip] = {}
-    for clip in clips:
-        if not clip.tracks:
-            warnings.append(f"clip {clip.name!r} left out: it moves no joint and no morph")
-            continue
-        name, number = clip.name, 2
-        while name in kept:
-            name, number = f"{clip.name} ({number})", number + 1
-        if name != clip.name:
-            warnings.append(f"another clip is called {clip.name!r}: this one is now {name!r}")
-        kept[name] = dataclasses.replace(clip, name=name)
-    return tuple(kept.values())
+    moving = [clip for clip in clips if clip.tracks]
+    still = [clip.name for clip in clips if not clip.tracks]
+    if still:
+        warnings.append(f"{len(still)} clips left out (the first: {still[0]!r}): they move no joint and no morph")
+    names = distinct_names([clip.name for clip in moving])
+    changed = [(clip.name, name) for clip, name in zip(moving, names) if clip.name != name]
+    if changed:
+        old, new = changed[0]
+        warnings.append(f"{len(changed)} clips called like others renamed (the first: {old!r} is now {new!r})")
+    return tuple(dataclasses.replace(clip, name=name) for clip, name in zip(moving, names))
 
 
 def _load(document: Document) -> Character:
     document.require_extensions(SUPPORTED_EXTENSIONS)
     scene = read_scene(document)
-    warnings = list(scene.warnings)
+    warnings = [*document.notes, *scene.warnings]
     if all(part.skin is None for part in scene.parts):
         warnings.append("the file has no skin: its parts move with their nodes")
     used = list(dict.fromkeys(part.source.material for part in scene.parts))
@@ -90,6 +88,7 @@ def _load(document: Document) -> Character:
         scene, materials, {index: at for at, index in enumerate(used)}, document.path.name, warnings
     )
     mesh.validate()
+    warnings += note_missing_texcoords(materials, mesh)
     skeleton = dataclasses.replace(
         read_skeleton(document, scene.joint_nodes.tolist(), scene.inverse_bind),
         morphs=tuple(scene.morphs),
@@ -101,7 +100,7 @@ def _load(document: Document) -> Character:
     warnings += _dropped_channels(document, clips)
     clips = _distinct_clips(clips, warnings)
     return Character(
-        name=document.path.stem,
+        name=document.path.stem.encode("utf-8", "replace").decode(),
         source=document.path,
         source_hash=hashlib.sha256(document.path.read_bytes()).hexdigest(),
         mesh=mesh,

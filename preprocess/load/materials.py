@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from preprocess.errors import InputError
 from preprocess.files.images import Image, read_image
 from preprocess.load.character import Material, TextureRef
+from preprocess.mesh.surface import SkinnedMesh
 from runtime.gltf.document import Document
 
 WRAPS = {10497: "REPEAT", 33071: "CLAMP_TO_EDGE", 33648: "MIRRORED_REPEAT"}
@@ -199,3 +200,22 @@ def read_materials(
     reader = _Reader(document, num_texcoords)
     materials = [Material("default") if index is None else reader.material(index) for index in used]
     return tuple(materials), reader.warnings
+
+
+TEXTURES = ("base_color", "metallic_roughness", "normal", "occlusion", "emissive")
+
+
+def note_missing_texcoords(materials: tuple[Material, ...], mesh: SkinnedMesh) -> list[str]:
+    """A line for each texture that some faces of its material have no texture coordinates for: they show none of it."""
+    notes = []
+    for index in np.unique(mesh.face_materials).tolist():
+        material, faces = materials[index], mesh.face_materials == index
+        for name in TEXTURES:
+            ref: TextureRef | None = getattr(material, name)
+            lacking = 0 if ref is None else int((faces & ~mesh.has_texcoords(ref.texcoord)).sum())
+            if ref is not None and lacking:
+                notes.append(
+                    f"material {material.name}: {lacking} triangles have no TEXCOORD_{ref.texcoord} for its "
+                    f"{name.replace('_', ' ')} texture: drawn without it"
+                )
+    return notes

@@ -32,10 +32,14 @@ class Part:
     Attributes
     ----------
     source : Primitive
-        As in the file; `positions`, `normals` and `tangents` below stand in object space.
+        As in the file.
     node : int
         The mesh's node in the file.
     skin : int or None
+    positions, normals : (N, 3) float64
+        In object space.
+    tangents : (N, 4) float64 or None
+        In object space, handedness last.
     joints : (N, K) int64
         Into the character's joint list.
     weights : (N, K) float64
@@ -67,9 +71,11 @@ class Scene:
 
     Attributes
     ----------
+    parts : tuple of Part
     joint_nodes : (J,) int64, node indices of the file
     inverse_bind : (J, 4, 4) float64
     morphs : dict of name to weight at rest
+    warnings : tuple of str
     """
 
     parts: tuple[Part, ...]

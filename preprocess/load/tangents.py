@@ -137,23 +137,23 @@ def compute_tangents(positions: Floats, faces: NDArray[np.integer], normals: Flo
     return tangents.reshape(-1, 3, 4)
 
 
-def corner_tangents(mesh: SkinnedMesh, texcoord_set: int = 0) -> Floats:
-    """The file's own tangents, or MikkTSpace ones of a texture coordinate set.
+def corner_tangents(mesh: SkinnedMesh, faces: NDArray[np.integer], uvs: Floats) -> Floats:
+    """The file's own tangents of some faces, MikkTSpace ones where it has none.
 
     Parameters
     ----------
     mesh : SkinnedMesh
-    texcoord_set : int
-        The set that the normal texture uses.
+    faces : (G,) int
+        All that are drawn with one normal texture: tangents are averaged over them, and over no others.
+    uvs : (G, 3, 2) float64
+        Where their corners sample it.
 
     Returns
     -------
-    (F, 3, 4) float64
+    (G, 3, 4) float64
     """
-    if mesh.corner_tangents is not None:
-        return mesh.corner_tangents
-    if texcoord_set >= mesh.corner_texcoords.shape[2]:
-        flat_normals = mesh.corner_normals.reshape(-1, 3)
-        return _any_tangent(flat_normals).reshape(-1, 3, 4)
-    uvs = mesh.corner_texcoords[:, :, texcoord_set]
-    return compute_tangents(mesh.surface.positions, mesh.surface.faces, mesh.corner_normals, uvs)
+    own = None if mesh.corner_tangents is None else mesh.corner_tangents[faces]
+    if own is not None and np.isfinite(own).all():
+        return own
+    made = compute_tangents(mesh.surface.positions, mesh.surface.faces[faces], mesh.corner_normals[faces], uvs)
+    return made if own is None else np.where(np.isfinite(own).all(axis=2)[..., None], own, made)

@@ -17,7 +17,6 @@ from preprocess.load.character import Material
 from preprocess.load.manifold import Manifold, make_manifold
 from preprocess.load.primitives import Target
 from preprocess.load.scene import Part, Scene
-from preprocess.load.tangents import corner_tangents
 from preprocess.load.weld import (
     Soup,
     Welded,
@@ -67,7 +66,7 @@ def _stack_parts(parts: tuple[Part, ...], material_index: dict[int | None, int])
         normals=np.concatenate([part.normals for part in parts]),
         tangents=tangents,
         texcoords=np.concatenate([padded(part.source.texcoords, num_texcoords) for part in parts]),
-        has_texcoord=np.repeat([part.source.texcoords.shape[1] > 0 for part in parts], counts),
+        num_texcoords=np.repeat([part.source.texcoords.shape[1] for part in parts], counts),
         colors=colors,
         joints=joints,
         weights=weights,
@@ -154,20 +153,15 @@ def _corner_normals(
     return corner
 
 
-def _fill_tangents(mesh: SkinnedMesh) -> SkinnedMesh:
-    """The same mesh with computed tangents where the file's are missing or unusable."""
-    if mesh.corner_tangents is None:
-        return mesh
-    own = mesh.corner_tangents
-    lengths = np.linalg.norm(own[..., :3], axis=2)
+def _usable_tangents(own: Floats) -> Floats | None:
+    """The file's tangents a corner (F, 3, 4) with whole handedness, NaN where unusable; None where all are."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        lengths = np.linalg.norm(own[..., :3], axis=2)
     usable = np.logical_and.reduce(np.isfinite(own), axis=2) & (np.abs(lengths - 1) < 0.1)
     if not usable.any():
-        return dataclasses.replace(mesh, corner_tangents=None)
-    if not usable.all():
-        computed = corner_tangents(dataclasses.replace(mesh, corner_tangents=None))
-        own = np.where(usable[..., None], own, computed)
+        return None
     handedness = np.where(own[..., 3:] < 0, -1.0, 1.0)
-    return dataclasses.replace(mesh, corner_tangents=np.concatenate([own[..., :3], handedness], axis=2))
+    return np.where(usable[..., None], np.concatenate([own[..., :3], handedness], axis=2), np.nan)
 
 
 def _build_mesh(
@@ -178,7 +172,7 @@ def _build_mesh(
     firsts = welded.vertex_firsts[manifold.vertex_origin]
     positions = soup.positions[firsts]
     corner_normals = _corner_normals(soup, corner_sources, manifold, positions, warnings)
-    has_uvs = soup.has_texcoord[corner_sources]
+    has_uvs = (soup.num_texcoords > 0)[corner_sources]
     if has_uvs.any():
         clusters = welded.uv_of[corner_sources].reshape(-1)
         face_uvs, uv_corners = group_rows(manifold.faces.reshape(-1), clusters)
@@ -201,7 +195,7 @@ def _build_mesh(
     mesh = SkinnedMesh(
         surface=surface,
         corner_normals=corner_normals,
-        corner_tangents=tangents,
+        corner_tangents=None if tangents is None else _usable_tangents(tangents),
         corner_texcoords=soup.texcoords[corner_sources],
         corner_colors=None if soup.colors is None else soup.colors[corner_sources],
         joint_indices=soup.joints[firsts].astype(np.int32),
@@ -209,9 +203,9 @@ def _build_mesh(
         face_materials=soup.face_materials.astype(np.int32),
         face_parts=soup.face_parts.astype(np.int32),
         has_uvs=bool(has_uvs.all()),
+        face_num_texcoords=soup.num_texcoords[soup.faces[:, 0]].astype(np.int32),
     )
-    mesh = dataclasses.replace(mesh, morphs=_build_morphs(soup, defaults, firsts, corner_sources, mesh))
-    return _fill_tangents(mesh)
+    return dataclasses.replace(mesh, morphs=_build_morphs(soup, defaults, firsts, corner_sources, mesh))
 
 
 def _kept_target(target: Target, used: Indices, renumber: Indices) -> Target:
@@ -261,7 +255,7 @@ def _without_unused(soup: Soup, used: Indices) -> Soup:
         normals=soup.normals[used],
         tangents=None if soup.tangents is None else soup.tangents[used],
         texcoords=soup.texcoords[used],
-        has_texcoord=soup.has_texcoord[used],
+        num_texcoords=soup.num_texcoords[used],
         colors=None if soup.colors is None else soup.colors[used],
         joints=soup.joints[used],
         weights=soup.weights[used],

@@ -36,8 +36,8 @@ class Soup:
     normals : (N, 3) float64, NaN where the file has none
     tangents : (N, 4) float64 or None
     texcoords : (N, L, 2) float64
-    has_texcoord : (N,) bool
-        Whether the vertex's part has TEXCOORD_0.
+    num_texcoords : (N,) int64
+        How many of the sets the vertex's part has; the others are zeros.
     colors : (N, 4) float32 or None
     joints : (N, K) int64, canonical: heaviest first, 0 where the weight is 0
     weights : (N, K) float64
@@ -51,7 +51,7 @@ class Soup:
     normals: Floats
     tangents: Floats | None
     texcoords: Floats
-    has_texcoord: NDArray[np.bool_]
+    num_texcoords: Indices
     colors: NDArray[np.float32] | None
     joints: NDArray[np.int64]
     weights: Floats

@@ -1,4 +1,4 @@
-"""Edges, components and charts of a textured surface, as arrays (method, section 1).
+"""Edges, components and charts of a textured surface, as arrays (docs/method.md, section 1).
 
 - Half-edge `3 f + c` runs from corner c of face f to corner c + 1.
 - Glued edge: one with exactly two faces that run along it in opposite directions. Only glued edges can lie inside a

@@ -1,4 +1,4 @@
-"""Seam edges, boundary edges and foldover edges of a textured surface (method: paper, section 3).
+"""Seam edges, boundary edges and foldover edges of a textured surface (paper, section 3; docs/method.md, section 1).
 
 - Seam edge: a 3D edge whose two half-edges have different uvs.
 - Boundary edge: a 3D edge with one incident face.

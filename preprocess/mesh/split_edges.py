@@ -165,6 +165,7 @@ def apply_split(mesh: SkinnedMesh, split: EdgeSplit) -> SkinnedMesh:
         joint_weights=joint_weights,
         face_materials=mesh.face_materials[source],
         face_parts=mesh.face_parts[source],
+        face_num_texcoords=None if mesh.face_num_texcoords is None else mesh.face_num_texcoords[source],
     )
 
 

@@ -66,7 +66,7 @@ class SkinnedMesh:
     corner_normals : (F, 3, 3) float64
         Unit normals a corner, object space, from the file (or computed where it has none).
     corner_tangents : (F, 3, 4) float64 or None
-        glTF tangents (xyz, handedness) where the file has them.
+        glTF tangents (xyz, handedness) where the file has them, NaN where it has none.
     corner_texcoords : (F, 3, L, 2) float64
         The source's own texture coordinates a corner, one a TEXCOORD set (L may be 0). They stay when the atlas
         changes: colours are resampled through them.
@@ -84,6 +84,8 @@ class SkinnedMesh:
         Whether every face came with texture coordinates.
     morphs : tuple of Morph
         Blend shapes, relative to `surface`.
+    face_num_texcoords : (F,) int32 or None
+        How many of the L sets each face came with; its others are zeros and mean nothing. None: all.
     """
 
     surface: TexturedSurface
@@ -97,6 +99,7 @@ class SkinnedMesh:
     face_parts: Ints
     has_uvs: bool
     morphs: tuple[Morph, ...] = ()
+    face_num_texcoords: Ints | None = None
 
     @property
     def num_faces(self) -> int:
@@ -107,6 +110,14 @@ class SkinnedMesh:
     def num_vertices(self) -> int:
         """Number of welded surface vertices."""
         return len(self.surface.positions)
+
+    def has_texcoords(self, texcoord_set: int) -> NDArray[np.bool_]:
+        """Which faces came with a texture coordinate set, (F,) bool."""
+        if texcoord_set >= self.corner_texcoords.shape[2]:
+            return np.zeros(self.num_faces, bool)
+        if self.face_num_texcoords is None:
+            return np.ones(self.num_faces, bool)
+        return self.face_num_texcoords > texcoord_set
 
     def with_surface(self, surface: TexturedSurface) -> SkinnedMesh:
         """The same character with another surface of the same faces (new uvs, say)."""

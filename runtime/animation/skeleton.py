@@ -267,18 +267,24 @@ def _moving_nodes(parents: NDArray[np.int64], depths: NDArray[np.int64], joints:
     return [int(node) for node in kept[np.argsort(depths[kept], kind="stable")]]
 
 
-def _unique_names(nodes: list[dict], kept: Sequence[int]) -> tuple[str, ...]:
-    """A name a node: the file's own, "node N" where it has none, numbered where two agree."""
-    names: list[str] = []
-    taken: set[str] = set()
-    for index in kept:
-        base = str(nodes[index].get("name") or f"node {index}")
-        name, number = base, 2
+def distinct_names(names: Sequence[str]) -> tuple[str, ...]:
+    """The names, those that are there already numbered: "arm", "arm (2)", "arm (3)" ..."""
+    taken = set[str]()
+    numbers: dict[str, int] = {}
+    distinct = []
+    for base in names:
+        name = base
         while name in taken:
-            name, number = f"{base} ({number})", number + 1
+            numbers[base] = numbers.get(base, 1) + 1
+            name = f"{base} ({numbers[base]})"
         taken.add(name)
-        names.append(name)
-    return tuple(names)
+        distinct.append(name)
+    return tuple(distinct)
+
+
+def _node_names(nodes: list[dict], kept: Sequence[int]) -> tuple[str, ...]:
+    """A name per node: the file's own, "node N" where it has none, numbered where two agree."""
+    return distinct_names([str(nodes[index].get("name") or f"node {index}") for index in kept])
 
 
 def _rest_pose(node: dict, where: str) -> tuple[list[float], list[float], list[float], NDArray[np.float64] | None]:
@@ -344,7 +350,7 @@ def read_skeleton(
     rests = [_rest_pose(nodes[node], f"{where}: node {node}") for node in kept]
     sheared = [index for index, rest in enumerate(rests) if rest[3] is not None]
     skeleton = Skeleton(
-        names=_unique_names(nodes, kept),
+        names=_node_names(nodes, kept),
         parents=np.array([new_index.get(int(document_parents[node]), -1) for node in kept], dtype=np.int32),
         translation=np.array([rest[0] for rest in rests], dtype=np.float64).reshape(-1, 3),
         rotation=np.array([rest[1] for rest in rests], dtype=np.float64).reshape(-1, 4),

@@ -75,7 +75,9 @@ class CrowdLevel:
     eight_joints : bool
         Eight joints a vertex, not four.
     places : Texture or None
-        Places of all vertices in all poses, where they are ready-made, with their scale and offset.
+        Places of all vertices in all poses, where they are ready-made.
+    place_scale, place_offset : tuple of three float
+        A place in metres is what `places` holds, times the scale, plus the offset.
     error_m : float
         Of the shape, and of what was simplified here.
     normal_uvs : Buffer or None

@@ -31,7 +31,7 @@ class Selection:
     ----------
     records : (S, 14) float32
         World matrix rows (from the eye), pose row, tint as four bytes.
-    levels : (L,) int64
+    first : (L,) int64
         First record of each level; mirrored actors of a level come last.
     counts, mirrored : (L,) int64
         Actors of each level that are not and that are mirrored.

@@ -6,21 +6,22 @@ Source: Khronos Group, glTF 2.0 Specification, sections 3.6 (binary data) and 4.
 
 from __future__ import annotations
 
-import base64
-import binascii
 import json
+import re
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath, PureWindowsPath
+from pathlib import Path
 from typing import Any
-from urllib.parse import unquote, unquote_to_bytes
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import AssetError
+from runtime.gltf.limits import LIMITS, Limits
+from runtime.gltf.local_files import read_regular
 from runtime.gltf.schema import check_types
+from runtime.gltf.uris import read_uri
 
 GLB_MAGIC = b"glTF"
 CHUNK_JSON, CHUNK_BIN = 0x4E4F534A, 0x004E4942
@@ -42,7 +43,6 @@ ELEMENT_SHAPES: dict[str, tuple[int, ...]] = {
     "MAT3": (3, 3),
     "MAT4": (4, 4),
 }
-MAX_EMPTY = 2**25  # elements of an accessor without a buffer view: it asks for memory that the file does not hold
 # Extensions that hide the bytes of a buffer view, and how a person gets rid of them.
 COMPRESSED_VIEWS = ("EXT_meshopt_compression", "KHR_meshopt_compression", "MESHOPT_compression")
 
@@ -55,13 +55,21 @@ class Document:
     ----------
     path : Path
     json : dict
-        The root object. What readers look at has the right type (gltf_schema.py).
+        The root object. What readers look at has the right type (schema.py).
+    limits : Limits
+    notes : tuple of str
+        What had to be changed in its text.
     """
 
     path: Path
     json: dict[str, Any]
     _glb_chunk: bytes | None = field(default=None, repr=False)
+    limits: Limits = LIMITS
+    notes: tuple[str, ...] = ()
     _buffers: dict[int, bytes] = field(default_factory=dict, repr=False, compare=False)
+    # Accessors that were decoded, and the bytes of all with and of all without data.
+    _decoded: set[int] = field(default_factory=set, repr=False, compare=False)
+    _totals: dict[bool, int] = field(default_factory=lambda: {True: 0, False: 0}, repr=False, compare=False)
 
     def items(self, kind: str) -> list[dict[str, Any]]:
         """The top-level list of that name ("nodes", "meshes" ...), empty where the file has none."""
@@ -106,13 +114,12 @@ class Document:
         count = spec.get("count")
         if dtype is None or shape is None or not isinstance(count, int) or count < 0:
             raise AssetError(f"{where} is malformed (type, componentType or count): export again")
-        if "bufferView" in spec:
+        backed = "bufferView" in spec
+        if backed:
             offset = spec.get("byteOffset", 0)
-            values = self._read_view(spec["bufferView"], offset, dtype, shape, count, where).copy()
-        elif count > MAX_EMPTY:
-            raise AssetError(f"{where} has {count} elements and no data: export again")
-        else:
-            values = np.zeros((count, *shape), dtype)
+            view = self._read_view(spec["bufferView"], offset, dtype, shape, count, where)
+        self._count(index, count * dtype.itemsize * int(np.prod(shape, dtype=np.int64)), backed, where)
+        values = view.copy() if backed else np.zeros((count, *shape), dtype)
         if "sparse" in spec:
             self._apply_sparse(values, spec["sparse"], dtype, shape, where)
         if dtype.kind == "f":  # damaged bytes may be signalling NaNs, which would warn wherever they are used
@@ -125,6 +132,23 @@ class Document:
                 np.float32, copy=False
             )
         return values
+
+    def _count(self, index: int, num_bytes: int, backed: bool, where: str) -> None:
+        """Refuse an accessor with which all that were decoded are more than the file's bytes may ask for."""
+        if index in self._decoded:
+            return
+        self._decoded.add(index)
+        self._totals[backed] += num_bytes
+        if self._totals[False] > self.limits.unbacked_bytes:
+            raise AssetError(
+                f"{where}: accessors have {self._totals[False]} bytes and no data for them: export again, or raise "
+                "--limit unbacked_bytes=N"
+            )
+        if backed and self._totals[True] > self.limits.reuse * (held := sum(map(len, self._buffers.values()))):
+            raise AssetError(
+                f"{where}: accessors read the file's {held} bytes more than {self.limits.reuse} times over: export "
+                "again, or raise --limit reuse=N"
+            )
 
     def view_bytes(self, index: int) -> bytes:
         """The raw bytes of a buffer view.
@@ -150,7 +174,7 @@ class Document:
             return self.view_bytes(spec["bufferView"])
         if not isinstance(spec.get("uri"), str):
             raise AssetError(f"{self.path.name}: image {index} has neither a uri nor a bufferView: export again")
-        return _read_uri(spec["uri"], self.path, f"image {index}")
+        return read_uri(spec["uri"], self.path, f"image {index}", self.limits.file_bytes)
 
     def require_extensions(self, supported: Iterable[str]) -> None:
         """Refuse a file that cannot be read rightly without an extension which is not in `supported`.
@@ -222,7 +246,7 @@ class Document:
         if index not in self._buffers:
             spec = self.item("buffers", index)
             if isinstance(spec.get("uri"), str):
-                data = _read_uri(spec["uri"], self.path, f"buffer {index}")
+                data = read_uri(spec["uri"], self.path, f"buffer {index}", self.limits.file_bytes)
             elif index == 0 and self._glb_chunk is not None:
                 data = self._glb_chunk
             else:
@@ -242,61 +266,26 @@ def _advice(extensions: Iterable[str]) -> str:
     return "turn the extension off in the exporter"
 
 
-def _read_uri(uri: str, beside: Path, what: str) -> bytes:
-    """Bytes of a data: uri or of a file named relative to the glTF file."""
-    if uri.startswith("data:"):
-        head, comma, body = uri.partition(",")
-        if not comma:
-            raise AssetError(f"{beside.name}: {what} has a data uri without data: export again")
-        try:
-            return base64.b64decode(body, validate=True) if head.endswith(";base64") else unquote_to_bytes(body)
-        except (binascii.Error, ValueError):
-            raise AssetError(f"{beside.name}: {what} has a damaged base64 uri: export again") from None
-    if "://" in uri:
-        raise AssetError(f"{beside.name}: {what} lies at {uri[:80]}: download it and name it relative to the file")
-    for name in _spellings(uri):
-        try:
-            path = _find_beside(beside.parent, name)
-            return path.read_bytes()
-        except (OSError, ValueError):
-            continue
-    raise AssetError(f"{beside.name}: {what} is missing: {unquote(uri)[:200]}: put it beside the file")
+def _whole_text(root: Any) -> bool:
+    """Replace halves of surrogate pairs, which no encoding can write, in all text below a value; whether any was."""
+    found = False
+    stack = [root]
+    while stack:  # text may be nested as deep as the parser goes
+        holder = stack.pop()
+        items = list(holder.items()) if isinstance(holder, dict) else list(enumerate(holder))
+        for key, item in items:
+            if isinstance(item, dict | list):
+                stack.append(item)
+            elif isinstance(item, str) and item != (clean := item.encode("utf-8", "replace").decode()):
+                holder[key], found = clean, True
+    return found
 
 
-def _spellings(uri: str) -> Iterator[str]:
-    """What a relative uri may mean, the likeliest first: exporters forget to quote, or write paths of Windows."""
-    for name in dict.fromkeys((unquote(uri), uri)):
-        yield name
-        if "\\" in name:
-            yield name.replace("\\", "/")
-            yield PureWindowsPath(name).name  # a path on the exporter's own drive
-
-
-def _find_beside(folder: Path, name: str) -> Path:
-    """The file of that name below a folder; one that differs in case alone, where there is just one such file.
-
-    Raises
-    ------
-    OSError, ValueError
-        If there is none.
-    """
-    path = folder / name
-    if path.is_file():
-        return path
-    for part in PurePosixPath(name).parts:
-        exact = folder / part
-        if not exact.exists():
-            alike = [entry for entry in folder.iterdir() if entry.name.lower() == part.lower()]
-            if len(alike) != 1:
-                raise FileNotFoundError(name)
-            exact = alike[0]
-        folder = exact
-    return folder
-
-
-def _parse_json(data: bytes, path: Path) -> dict[str, Any]:
+def _parse_json(data: bytes, path: Path, limits: Limits) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """The root object, and what had to be changed in its text."""
+    text, notes = data.rstrip(b"\0").decode("utf-8-sig", "replace"), []
     try:
-        root = json.loads(data.decode("utf-8-sig"))
+        root = json.loads(text)
     except (ValueError, RecursionError):
         raise AssetError(
             f"{path.name} is not a glTF file: its JSON does not parse: export it as .glb or .gltf"
@@ -306,8 +295,11 @@ def _parse_json(data: bytes, path: Path) -> dict[str, Any]:
     version = str(root["asset"].get("version", ""))
     if not version.startswith("2"):
         raise AssetError(f"{path.name} is glTF version {version[:20] or 'unknown'}: export it as glTF 2.0")
-    check_types(root, path.name)
-    return root
+    halves = re.search(rb"\\u[dD][89a-fA-F]", data) is not None and _whole_text(root)
+    if halves or ("\ufffd" in text and b"\xef\xbf\xbd" not in data):
+        notes.append("names that are not clean UTF-8 have question marks where their letters were damaged")
+    check_types(root, path.name, limits)
+    return root, tuple(notes)
 
 
 def _split_glb(data: bytes, path: Path) -> tuple[bytes, bytes | None]:
@@ -333,12 +325,13 @@ def _split_glb(data: bytes, path: Path) -> tuple[bytes, bytes | None]:
     return chunks[CHUNK_JSON], chunks.get(CHUNK_BIN)
 
 
-def read_document(path: Path | str) -> Document:
+def read_document(path: Path | str, limits: Limits = LIMITS) -> Document:
     """Open a .gltf, .glb or .vrm file. Told apart by content, not by name.
 
     Parameters
     ----------
     path : Path or str
+    limits : Limits
 
     Returns
     -------
@@ -350,15 +343,11 @@ def read_document(path: Path | str) -> Document:
         If the file is missing, cut short or not glTF 2.0.
     """
     path = Path(path)
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise AssetError(f"no such file: {path}") from None
-    except (OSError, ValueError) as error:
-        raise AssetError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from None
+    data = read_regular(path, limits.file_bytes)
+    binary = None
     if data[:4] == GLB_MAGIC:
-        text, binary = _split_glb(data, path)
-        return Document(path, _parse_json(text, path), binary)
-    if data.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] != b"{":
+        data, binary = _split_glb(data, path)
+    elif data.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] != b"{":
         raise AssetError(f"{path.name} is not a glTF file: export it as .glb or .gltf")
-    return Document(path, _parse_json(data, path))
+    root, notes = _parse_json(data, path, limits)
+    return Document(path, root, binary, limits, notes)

@@ -1,4 +1,4 @@
-"""Files that another file names: regular files inside its own folder, and nothing else.
+"""Files that another file names: regular files inside its own folder, of bounded size, and nothing else.
 
 A name in a file from elsewhere may be an absolute path, climb out with `..`, follow a link, or stand for a device or a
 pipe. All readers of such names (a glTF's buffers and images, a manifest's textures and model) ask here.
@@ -10,7 +10,27 @@ import stat
 from pathlib import Path
 
 from runtime.errors import AssetError
+from runtime.gltf.limits import LIMITS
 from runtime.validation import shown
+
+KINDS = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+
+
+class MissingFileError(AssetError):
+    """Nothing stands where a file should: another spelling of its name may find it."""
+
+
+def name_kind(mode: int) -> str | None:
+    """What a file's mode says it is, if that is no regular file ("a pipe" ...)."""
+    if stat.S_ISREG(mode):
+        return None
+    return next((words for test, words in KINDS if test(mode)), "no regular file")
 
 
 def find_local_file(folder: Path, name: str, what: str, advice: str) -> Path:
@@ -29,18 +49,42 @@ def find_local_file(folder: Path, name: str, what: str, advice: str) -> Path:
     Raises
     ------
     AssetError
-        If the name leads out of the folder, to nothing, or to something that is not a regular file.
+        If the name leads out of the folder, to nothing (`MissingFileError`), or to something that is not a regular
+        file.
     """
     try:
         root, path = folder.resolve(), (folder / name).resolve()
         inside = path.is_relative_to(root) and path != root
         mode = path.stat().st_mode if inside else 0
-    except FileNotFoundError:
-        raise AssetError(f"{what}: {folder / name} is missing: {advice}") from None
+    except (FileNotFoundError, NotADirectoryError):
+        raise MissingFileError(f"{what}: {folder / name} is missing: {advice}") from None
     except (OSError, ValueError, RuntimeError):  # too long, a zero byte, a circle of links
         raise AssetError(f"{what}: {shown(name)} is no name of a file: {advice}") from None
     if not inside:
         raise AssetError(f"{what}: {shown(name)} is outside of {folder}: {advice}")
-    if not stat.S_ISREG(mode):
-        raise AssetError(f"{what}: {shown(name)} is not a regular file: {advice}")
+    if (kind := name_kind(mode)) is not None:
+        raise AssetError(f"{what}: {shown(name)} is {kind}, not a regular file: {advice}")
     return path
+
+
+def read_regular(path: Path, most_bytes: int = LIMITS.file_bytes) -> bytes:
+    """The bytes of a file that a person named; its size is asked before.
+
+    Raises
+    ------
+    AssetError
+        If it is missing, no regular file or too large.
+    """
+    try:
+        status = path.stat()
+        if (kind := name_kind(status.st_mode)) is not None:
+            raise AssetError(f"cannot read {path}: it is {kind}: save its content as a file and name that")
+        if status.st_size > most_bytes:
+            raise AssetError(
+                f"{path.name} has {status.st_size} bytes, more than {most_bytes}: raise --limit file_bytes=N"
+            )
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise AssetError(f"no such file: {path}") from None
+    except (OSError, ValueError) as error:
+        raise AssetError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from None

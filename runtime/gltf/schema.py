@@ -6,20 +6,18 @@ Source: Khronos Group, glTF 2.0 Specification, section 5 (properties reference).
 
 from __future__ import annotations
 
-import math
 from enum import Enum
 from typing import Any
 
 from runtime.errors import AssetError
-
-LARGEST_INDEX = 2**53  # the largest whole number that every reader of JSON gets right
+from runtime.gltf.limits import LIMITS, Limits
 
 
 class Kind(Enum):
     """Type of a value; its own value completes the sentence "must be ..."."""
 
-    INDEX = "a whole number, zero to 2^53"
-    NUMBER = "a finite number"
+    INDEX = "a whole number, zero or more, within limits"
+    NUMBER = "a finite number within limits"
     TEXT = "text"
 
 
@@ -129,7 +127,7 @@ SCHEMA: Rule = {
 }
 
 
-def _find_fault(value: Any, rule: Rule) -> tuple[str, str] | None:
+def _find_fault(value: Any, rule: Rule, limits: Limits) -> tuple[str, str] | None:
     """Where below a value its rule is broken and what belongs there, or None. Files hold 10^5 values: kept lean.
 
     JSON has one kind of number: exporters that write 3 as 3.0 mean 3, and it is made that in its place.
@@ -143,7 +141,7 @@ def _find_fault(value: Any, rule: Rule) -> tuple[str, str] | None:
             if inner is not None:
                 if inner is INDEX and type(item) is float and item.is_integer():
                     value[key] = item = int(item)  # no key is added: the loop goes on
-                fault = _find_fault(item, inner)
+                fault = _find_fault(item, inner, limits)
                 if fault:
                     return f".{key}{fault[0]}", fault[1]
         return None
@@ -154,19 +152,18 @@ def _find_fault(value: Any, rule: Rule) -> tuple[str, str] | None:
         for position, item in enumerate(value):
             if inner is INDEX and type(item) is float and item.is_integer():
                 value[position] = item = int(item)
-            fault = _find_fault(item, inner)
+            fault = _find_fault(item, inner, limits)
             if fault:
                 return f"[{position}]{fault[0]}", fault[1]
         return None
     if rule is INDEX:
-        return None if type(value) is int and 0 <= value <= LARGEST_INDEX else ("", rule.value)
+        return None if type(value) is int and 0 <= value <= limits.whole else ("", rule.value)
     if rule is NUMBER:
-        fits = type(value) in (int, float) and abs(value) < 1e300 and math.isfinite(value)
-        return None if fits else ("", rule.value)
+        return None if type(value) in (int, float) and abs(value) <= limits.number else ("", rule.value)
     return None if isinstance(value, str) else ("", rule.value)
 
 
-def check_types(root: dict[str, Any], name: str) -> None:
+def check_types(root: dict[str, Any], name: str, limits: Limits = LIMITS) -> None:
     """Check the types of everything in a glTF file's JSON that readers look at; whole numbers become ints.
 
     Parameters
@@ -174,12 +171,13 @@ def check_types(root: dict[str, Any], name: str) -> None:
     root : dict
     name : str
         How the message names the file.
+    limits : Limits
 
     Raises
     ------
     AssetError
         At the first value of a wrong type: which, and what it must be.
     """
-    fault = _find_fault(root, SCHEMA)
+    fault = _find_fault(root, SCHEMA, limits)
     if fault:
         raise AssetError(f"{name} is malformed: {fault[0].lstrip('.')} must be {fault[1]}: export it again")

@@ -52,12 +52,16 @@ class GpuLod:
 
     Attributes
     ----------
+    mesh : LodMesh
+        What the buffers were made from.
+    groups : tuple of DrawGroup
+        One draw call each.
     vertices : Buffer
         `vertex_bytes`.
     indices : Buffer
         Of triangles, three each.
     index_size : int
-        Bytes an index, 2 or 4.
+        Bytes per index, 2 or 4.
     attributes : tuple of (format, name)
         What lies in `vertices`, from `vertex_attributes`.
     normal_uvs : Buffer or None
