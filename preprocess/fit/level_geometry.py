@@ -234,8 +234,9 @@ def _measured(
         )
         blended = np.einsum("vj,pjik->pvik", drawn, rows)
         shifts = np.zeros((len(shapes), len(uvs), 3))
-        for number in np.flatnonzero(shapes.any(axis=0)) if morphs is not None else ():
-            shifts += shapes[:, number, None, None] * morphs.rows_at(number, uvs)[None, :, :, 3]
+        if morphs is not None:
+            for number in np.flatnonzero(shapes.any(axis=0)).tolist():
+                shifts += shapes[:, number, None, None] * morphs.rows_at(number, uvs)[None, :, :, 3]
         found = measure(reference, lod, np.concatenate([blended, shaped_matrices(blended[0], shifts)]))
         error_m = max(found.largest_m, finished[-1].error_m, 0.0 if lod.exact else before.error_m)
         if found.largest_m > (1.0 + LEVEL_SHARE) * max(before.error_m, lods[0].error_m):
@@ -247,7 +248,11 @@ def _measured(
 
 
 def fit_levels(
-    mesh: SkinnedMesh, textures: Sequence[StoredTexture], lods: Sequence[Lod], poses: Floats, shapes: Floats
+    mesh: SkinnedMesh,
+    textures: Sequence[StoredTexture],
+    lods: Sequence[Lod],
+    poses: Floats,
+    shapes: Floats | None = None,
 ) -> tuple[list[StoredTexture], tuple[Lod, ...]]:
     """Make geometry right at the vertices of all levels.
 
@@ -261,7 +266,7 @@ def fit_levels(
         The finest first: the full mesh.
     poses : (P, J, 4, 4) float64
         Skinning matrices.
-    shapes : (S, M) float64
+    shapes : (S, M) float64, optional
         Morph weights of further shapes, in the first pose.
 
     Returns
@@ -283,6 +288,7 @@ def fit_levels(
         by_name["position"], fitted = _in_words(position, texels.astype(np.float64), mesh, fitted, full)
     else:
         by_name["position"] = dataclasses.replace(position, levels=(texels,))
+    shapes = np.zeros((0, len(mesh.morphs))) if shapes is None else shapes
     located = [(owner.corners, owner.barycentrics) for owner in owners]
     morphs = store_morphs(mesh, fitted, located, position.size)
     by_name["position"] = dataclasses.replace(by_name["position"], morphs=morphs)

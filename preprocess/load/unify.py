@@ -222,7 +222,8 @@ def _build_morphs(
     Where the file has no normals they are made of the positions, and so are those of the morphed surface.
     """
     surface, morphs = mesh.surface, []
-    corner_vertices = surface.faces.reshape(-1).astype(np.int64)
+    faces = surface.faces.astype(np.int64)
+    corner_vertices = faces.reshape(-1)
     sources = corner_sources.reshape(-1)
     normals = mesh.corner_normals.reshape(-1, 3)
     missing = np.isnan(soup.normals[sources]).any(axis=1)
@@ -234,10 +235,10 @@ def _build_morphs(
         shifts = rows[firsts, :3]
         changes = np.where(turned, -rows[sources, 3:], rows[sources, 3:])
         if missing.any():
-            moved = smooth_corner_normals(surface.positions + shifts, surface.faces).reshape(-1, 3)
+            moved = smooth_corner_normals(surface.positions + shifts, faces).reshape(-1, 3)
             changes[missing] = moved[missing] - normals[missing]
         is_touched = np.zeros(len(firsts), bool)
-        is_touched[surface.faces[shifts.any(axis=1)[surface.faces].any(axis=1)]] = True  # elsewhere turns are noise
+        is_touched[faces[np.asarray(np.abs(shifts[faces]).max(axis=(1, 2)) > 0)]] = True  # elsewhere turns are noise
         vertices = np.flatnonzero(is_touched)
         own = is_touched[corner_vertices]
         turns = vertex_turns(normals[own], changes[own], corner_vertices[own], vertices)

@@ -56,9 +56,12 @@ class Pose:
     def select(self, actors: ArrayLike) -> Pose:
         """The pose of some actors, in the order given."""
         index = np.asarray(actors)
-        parts = (np.ascontiguousarray(part.T[..., index]).T for part in (self.translation, self.rotation, self.scale))
-        weights = None if self.weights is None else np.ascontiguousarray(self.weights.T[..., index]).T
-        return Pose(*parts, weights)
+
+        def picked(part: Floats) -> Floats:
+            return np.ascontiguousarray(part.T[..., index]).T
+
+        weights = None if self.weights is None else picked(self.weights)
+        return Pose(picked(self.translation), picked(self.rotation), picked(self.scale), weights)
 
 
 def rest_pose(skeleton: Skeleton, num_actors: int = 1, dtype: DTypeLike = np.float64) -> Pose:

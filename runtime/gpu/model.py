@@ -5,7 +5,7 @@ Everything is uploaded in `Model(ctx, asset)` and freed in `release()`. The call
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import count
 from typing import TYPE_CHECKING, Any
 
@@ -304,6 +304,22 @@ class Model(NotCopied):
             speed=speed,
             loop=loop,
         )
+
+    def set_morph_weights(self, actors: Sequence[Actor], weights: Mapping[str, Any] | ArrayLike | None) -> None:
+        """Set morph targets of many actors at once, over what clips say of them.
+
+        Parameters
+        ----------
+        actors : sequence of A actors of this model
+        weights : mapping of names to a weight or (A,) weights, (M,) or (A, M) float, or None
+            As for `Actor.set_morph_weights`.
+
+        Raises
+        ------
+        ValueError
+            When there is no such morph, or a weight is not finite or too large.
+        """
+        self.mixer.set_morph_weights([actor.row for actor in actors], weights)
 
     def require_usable(self) -> None:
         """Refuse a model that was released or is not all there, or whose context was released or is not current.
