@@ -15,6 +15,7 @@ import numpy as np
 from benchmarks._inputs import command_line, source_files
 from benchmarks._table import print_table
 from preprocess.arrays import Floats, Ints
+from preprocess.atlas import character_atlas
 from preprocess.bake.geometry import bake_surface_positions
 from preprocess.decimate import DecimateOptions, decimate
 from preprocess.decimate.measure import Reference, make_reference, sample_mesh
@@ -22,7 +23,7 @@ from preprocess.load import load_character
 from preprocess.load.pose_sampling import sample_poses
 from preprocess.mesh.closest_point import build_tree
 from preprocess.mesh.surface import TexturedSurface
-from preprocess.pipeline import SURFACE_PX, _build_atlas, draw_groups
+from preprocess.pipeline import SURFACE_PX, draw_groups
 from preprocess.settings import Settings
 
 MODELS = ("human.glb", "mannequiny.glb", "Knight.glb", "Fox.glb")
@@ -72,7 +73,7 @@ def _fewest(ladder: Ladder | None, error_m: float, num_faces: int) -> int | None
 def _measure(model: Path) -> list[dict[str, Any]]:
     """One row an error."""
     character, settings = load_character(model), Settings()
-    mesh, poses = _build_atlas(character, settings).mesh, sample_poses(character)
+    mesh, poses = character_atlas(character, settings).mesh, sample_poses(character)
     surface = mesh.surface
     blended = np.einsum("vj,pjik->pvik", mesh.dense_weights(poses.shape[1]), poses[:, :, :3])
     position, groups = (

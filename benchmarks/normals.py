@@ -29,11 +29,11 @@ from benchmarks._source_normals import SourceNormals, cofactors, unit
 from benchmarks._table import print_table
 from preprocess.arrays import Floats
 from preprocess.fit.weight_quadtree import sample_weights
-from preprocess.fit.weight_stack import unpack_weights
 from preprocess.load import Character, load_character
 from preprocess.mesh.texels import sample_bilinear
 from runtime.animation.pose import sample, skinning_rows
 from runtime.asset.asset import Asset, load
+from runtime.asset.weight_stack import unpack_weights
 
 EDGE_PX = 1.5
 

@@ -13,10 +13,10 @@ from preprocess.fit.geometry_maps import store_positions, store_weights
 from preprocess.fit.level_geometry import fit_levels
 from preprocess.fit.stored_texture import StoredTexture
 from preprocess.fit.weight_quadtree import sample_weights
-from preprocess.fit.weight_stack import unpack_weights
 from preprocess.mesh.seams import find_seams
 from preprocess.mesh.surface import SkinnedMesh
 from preprocess.mesh.texels import sample_bilinear
+from runtime.asset.weight_stack import unpack_weights
 from tests.builders_decimate import box
 
 POSITION_PX, WEIGHTS_PX = 48, 16

@@ -19,6 +19,8 @@ from benchmarks._points import MIN_VERSION_CODE, PointCapture, differing_points
 from preprocess.errors import InputError
 from preprocess.load import load_character
 from preprocess.mesh.morphs import Morph, choose_shapes, shift_vertices, vertex_turns
+from runtime.animation.bounds import JointBoxes, stored_joint_boxes
+from runtime.animation.mixer import Mixer
 from runtime.animation.pose import sample, skinning_matrices
 from runtime.asset.morphs import Morphs, MorphTarget, pack_morphs, unpack_morphs
 from runtime.errors import AssetError
@@ -329,20 +331,17 @@ def test_a_morphed_surface_has_no_cracks(
 
 
 def test_bounds_hold_in_every_mixture(folder: Path, source: Path) -> None:
-    from runtime.scene.actor import carrier_of
-
-    class Stub:
-        asset = runtime.load(folder)
-        mixer = __import__("runtime.animation.mixer", fromlist=["Mixer"]).Mixer(asset.skeleton, asset.clips)
-
+    asset = runtime.load(folder)
+    mixer = Mixer(asset.skeleton, asset.clips)
+    carrier = JointBoxes(stored_joint_boxes(asset.joint_bounds, asset.manifest.bind_bounds), asset.morph_reaches)
     mesh = load_character(source).mesh
     rng = np.random.default_rng(1)
     weights = rng.uniform(-1, 2, (50, 3))
-    rows = np.repeat(Stub.mixer.joint_rows(Stub.mixer.add_row()), 50, axis=0)
-    boxes = carrier_of(Stub).around(rows, weights)
+    rows = np.repeat(mixer.joint_rows(mixer.add_row()), 50, axis=0)
+    boxes = carrier.around(rows, weights)
     points = mesh.surface.positions + shift_vertices(mesh.morphs, weights, mesh.num_vertices)
     assert (points >= boxes[:, :1]).all() and (points <= boxes[:, 1:]).all()
-    clip_box = Stub.asset.manifest.clip_bounds["face"]
+    clip_box = asset.manifest.clip_bounds["face"]
     moved = mesh.surface.positions + shift_vertices(mesh.morphs, CLIP_WEIGHTS, mesh.num_vertices)
     assert (moved >= clip_box[0]).all() and (moved <= clip_box[1]).all()
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from preprocess.mesh.texels import bilinear_stencil, sample_bilinear, uv_to_px
+from runtime.asset.lod_mesh import UV_STEPS
 from runtime.errors import RenderError
 from runtime.gpu.gl_state import SHADER_STAGES, compile_shader, functions
 from runtime.gpu.programs import assemble, build_program, require_version
@@ -30,12 +31,13 @@ VARIANTS: dict[str, list[dict[str, str | int]]] = {
     "patch.tesc": [{}, {"DUAL_QUATERNIONS": 1}],
     "attributes.vert": [BLOCK],
     "layouts.vert": [{"LAYOUT_LISTS": 1, "LISTS": 2}, {"LAYOUT_DENSE": 1, "LAYERS": 14}],
-    "crowd.vert": [{}, {"EIGHT_JOINTS": 1}, {"PLACED": 1}, {"SHOW_WEIGHTS": 1}],
+    "crowd.vert": [{}, {"EIGHT_JOINTS": 1}, {"VERTEX_ANIMATION": 1}, {"SHOW_WEIGHTS": 1}],
 }
-NORMALS, STEPS, WIDE = {"NORMAL_UV": 1}, {"UV_STEPS": 1, "CANONICAL_STEPS": 1, "POSITION_WORDS": 1}, {"WIDE_JOINTS": 1}
-SOLID = {"NO_CUTOUT": 1, "NO_BLEND": 1, "NO_EMISSION": 1}
+NORMALS = {"NORMAL_UV": UV_STEPS}
+STEPS, WIDE = {"UV_STEPS": UV_STEPS, "CANONICAL_STEPS": UV_STEPS, "POSITION_WORDS": 1}, {"WIDE_JOINTS": 1}
+SOLID = {"NO_ALPHA_TEST": 1, "NO_BLEND": 1, "NO_EMISSION": 1}
 LACKS = [
-    {"NO_CUTOUT": 1},
+    {"NO_ALPHA_TEST": 1},
     {"UNLIT": 1, "NO_BLEND": 1},
     {**SOLID, "ONE_SIDED": 1, "FLOAT_NORMALS": 1},
     {**SOLID, "NO_ORM": 1, "ROUGHNESS_IN_COLOR": 1, "METALLIC_IN_NORMAL": 1, "NO_OCCLUSION": 1},

@@ -20,13 +20,13 @@ from preprocess.erase import measure_seams
 from preprocess.errors import InputError
 from preprocess.files.output_folder import MANIFEST, hash_file
 from preprocess.fit.weight_quadtree import measure_jump
-from preprocess.fit.weight_stack import unpack_weights
 from preprocess.mesh.seams import Seams, find_seams
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.mesh.texels import sample_bilinear
 from preprocess.mesh.uv_overlap import find_overlap
 from runtime.asset.asset import Asset, load
 from runtime.asset.lod_mesh import LodMesh
+from runtime.asset.weight_stack import unpack_weights
 from runtime.errors import AssetError
 
 log = logging.getLogger(__name__)

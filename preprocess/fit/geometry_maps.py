@@ -11,10 +11,10 @@ from preprocess.bake.geometry import bake_positions, bake_weights, settle_weight
 from preprocess.erase import LOCAL, EraseOptions, plan_erasure
 from preprocess.fit.position_sizes import Positions, smallest_positions, weight_side
 from preprocess.fit.stored_texture import StoredTexture, seam_report
-from preprocess.fit.weight_stack import pack_weights, unpack_weights
 from preprocess.mesh.seams import Seams
 from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
 from preprocess.mesh.texels import snap_canonical_uvs
+from runtime.asset.weight_stack import pack_weights, unpack_weights
 
 # The surface between vertices must stay (a change of 1e4 lets it stray two to six times as far); seams are closed as
 # far as that leaves them: at the automatic size to less than a hundredth of a per cent of the diagonal, rms.

@@ -32,7 +32,6 @@ from preprocess.fit.weight_quadtree import (
     pose_moves,
     sample_weights,
 )
-from preprocess.fit.weight_stack import unpack_weights
 from preprocess.mesh.morphs import shaped_matrices, shift_vertices
 from preprocess.mesh.raster import rasterise
 from preprocess.mesh.seams import find_seams
@@ -40,6 +39,7 @@ from preprocess.mesh.surface import SkinnedMesh
 from preprocess.mesh.texels import px_to_uv, sample_bilinear
 from preprocess.mesh.uv_lookup import locate_uvs, uv_tree
 from runtime.asset.morphs import Morphs
+from runtime.asset.weight_stack import unpack_weights
 
 log = logging.getLogger(__name__)
 

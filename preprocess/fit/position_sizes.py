@@ -16,6 +16,7 @@ import numpy as np
 
 from preprocess.arrays import Floats
 from preprocess.erase import Eraser
+from preprocess.mesh.face_geometry import face_areas
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.mesh.texels import sample_bilinear
 from preprocess.settings import GEOMETRY_RMS_REL, PARK_REL
@@ -105,7 +106,7 @@ def stray_rms(texels: Floats, surface: TexturedSurface) -> float:
     surface : TexturedSurface
     """
     corners = surface.positions[surface.faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    area = face_areas(corners)
     shares = np.array([(2, 2, 2), (4, 1, 1), (1, 4, 1), (1, 1, 4)]) / 6.0  # middles of the four quarters
     flat = np.einsum("sk,fkc->fsc", shares, corners)
     uvs = np.einsum("sk,fkc->fsc", shares, surface.uvs[surface.face_uvs])

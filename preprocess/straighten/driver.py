@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.arrays import Floats, Ints
+from preprocess.mesh.edges import chart_of_faces
 from preprocess.mesh.split_edges import EdgeSplit, split_edges
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.straighten.chains import Chains, find_chains
 from preprocess.straighten.remap import (
     LEAST_AREA,
-    chart_of_faces,
     find_rest_shapes,
     relative_areas,
     remap_interior,

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from runtime.errors import AssetError
-from runtime.validation import no_such, shown, whole
+from runtime.validation import describe, is_integer, unknown_name
 
 if TYPE_CHECKING:
     from runtime.gltf.document import Document
@@ -110,10 +110,10 @@ class Skeleton:
         """
         if isinstance(name, str):
             if name not in self.node_by_name:
-                raise no_such("joint", name, self.names, "skeleton")
+                raise unknown_name("joint", name, self.names, "skeleton")
             return self.node_by_name[name]
-        if not whole(name) or not 0 <= int(name) < self.num_nodes:
-            raise ValueError(f"no joint {shown(name)}; the skeleton has {self.num_nodes}, counted from 0")
+        if not is_integer(name) or not 0 <= int(name) < self.num_nodes:
+            raise ValueError(f"no joint {describe(name)}; the skeleton has {self.num_nodes}, counted from 0")
         return int(name)
 
     def morph(self, name: str | int) -> int:
@@ -126,9 +126,9 @@ class Skeleton:
         """
         if isinstance(name, str) and name in self.morphs:
             return self.morphs.index(name)
-        if whole(name) and 0 <= int(name) < len(self.morphs):
+        if is_integer(name) and 0 <= int(name) < len(self.morphs):
             return int(name)
-        raise no_such("morph", name, self.morphs, "character")
+        raise unknown_name("morph", name, self.morphs, "character")
 
     def descendants(self, name: str | int) -> NDArray[np.bool_]:
         """Mask of a node and everything below it, (N,) bool."""

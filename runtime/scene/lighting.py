@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from runtime.errors import RenderError
-from runtime.validation import is_number, numbers, shown
+from runtime.validation import describe, is_number, numbers
 
 NUM_LEVELS = 6  # roughness of level k is (k / 5)^2 (shaders/include/lighting.glsl)
 MAP_SIZE = 160  # a side of a half sphere's square at level 0
@@ -218,8 +218,8 @@ class Lighting:
             except ValueError:
                 fits = False
             if not fits:
-                raise RenderError(f"lighting: {name} must be three finite numbers, not {shown(value)}")
+                raise RenderError(f"lighting: {name} must be three finite numbers, not {describe(value)}")
         if not isinstance(self.environment, Environment):
-            raise RenderError(f"lighting: environment must be a runtime.Environment, not {shown(self.environment)}")
+            raise RenderError(f"lighting: environment must be a runtime.Environment, not {describe(self.environment)}")
         if not is_number(self.exposure) or not 0.0 <= self.exposure < np.inf:
-            raise RenderError(f"lighting: exposure is {shown(self.exposure)}, it must be a number of at least 0")
+            raise RenderError(f"lighting: exposure is {describe(self.exposure)}, it must be a number of at least 0")
