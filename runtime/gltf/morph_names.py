@@ -67,7 +67,8 @@ class _Sayings:
         times, values = (self._document.accessor(index) for index in key[:2])
         flat = values.reshape(-1)
         own = flat.reshape(-1, count)[:, number] if count and flat.size % count == 0 else flat
-        return np.asarray(times, np.float32).tobytes() + np.asarray(own, np.float32).tobytes() + key[2].encode()
+        parts = np.asarray(times, np.float32).tobytes(), np.asarray(own, np.float32).tobytes(), str(key[2]).encode()
+        return b"".join(parts)
 
     def differ(self, one: tuple[int, int], other: tuple[int, int]) -> bool:
         """Whether two targets, each a node and a number, are told to do different things."""

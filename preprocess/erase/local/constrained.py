@@ -42,7 +42,7 @@ def solve_near(
     low, high : float
         Range of the texels; infinite for none.
     """
-    near = band.samples_near((np.abs(jumps) > limits[:, None]).any(axis=1), RINGS)
+    near = band.samples_near(np.asarray((np.abs(jumps) > limits[:, None]).any(axis=1)), RINGS)
     is_free = np.zeros(len(values), np.bool_)
     reads = band.sample_weights != 0.0
     is_free[band.sample_texels[near][reads[near]]] = True
