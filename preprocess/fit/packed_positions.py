@@ -24,7 +24,7 @@ from numba import njit
 from preprocess.arrays import Floats, Ints
 from preprocess.bake.geometry import stencil_matrix
 from preprocess.erase.energies import jump_weights, to_rows
-from preprocess.erase.intervals import split_edges
+from preprocess.erase.intervals import cut_into_intervals
 from preprocess.mesh.seams import Seams
 from preprocess.mesh.surface import TexturedSurface
 from runtime.asset.packed_positions import PositionWords, choose_words
@@ -82,7 +82,7 @@ def _weighted_rows(
     points = sp.diags(pull) @ stencil_matrix(uvs, width, height)
     if not len(seams.uv_pairs):
         return points.tocsr(), pull
-    intervals = split_edges(surface.uvs[seams.uv_pairs], width, height)
+    intervals = cut_into_intervals(surface.uvs[seams.uv_pairs], width, height)
     gamma, weights = intervals.gauss(3)
     lengths = seams.lengths_m[intervals.edges][:, None] / max(float(seams.lengths_m.sum()), 1e-30)
     jumps = to_rows(intervals.texels.reshape(-1, 8), jump_weights(intervals, gamma), width * height)

@@ -38,7 +38,7 @@ from preprocess.fit.level_normal_uvs import find_level_normal_uvs
 from preprocess.fit.stored_texture import StoredTexture, jump
 from preprocess.load import Character
 from preprocess.mesh.raster import Coverage, cover_atlas
-from preprocess.mesh.seams import Seams, find_seams, pick_seams
+from preprocess.mesh.seams import Seams, find_seams, pack_seams, pick_seams
 from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
 from preprocess.settings import Settings
 
@@ -316,6 +316,7 @@ class TextureStage:
         }
         if left:
             seam["left"] = left
+            seam["left_seams"] = pack_seams(self.mesh.surface, self.seams, ~job.decision.joined)
         texels = tuple(level.texels / float(steps) for level in levels)
         height, width = job.baked.shape[:2]
         self._note(job.name, levels, (width, height))
