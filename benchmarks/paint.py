@@ -27,14 +27,14 @@ from preprocess.mesh.texels import sample_bilinear
 from preprocess.settings import Settings
 
 MODELS = ("Fox.glb", "human.glb")
-POINTS_A_TEXEL = 4
+POINTS_PER_TEXEL = 4
 STORED = "uint8"
 
 
 def seam_points(lines_uv: Floats, size_px: int) -> Floats:
     """Both places of points along seams, (2, N, 2), evenly spaced; from the seams' ends (S, 2, 2, 2)."""
     length_px = np.linalg.norm(lines_uv[:, :, 1] - lines_uv[:, :, 0], axis=2).max(axis=1) * size_px
-    counts = np.ceil(length_px * POINTS_A_TEXEL).astype(np.int64) + 1
+    counts = np.ceil(length_px * POINTS_PER_TEXEL).astype(np.int64) + 1
     seam = np.repeat(np.arange(len(lines_uv)), counts)
     share = (np.arange(len(seam)) - np.repeat(np.cumsum(counts) - counts, counts) + 0.5) / counts[seam]
     ends = lines_uv[seam].swapaxes(0, 1)

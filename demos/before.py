@@ -21,11 +21,11 @@ from preprocess.bake.geometry import bake_positions, bake_weights
 from preprocess.bake.hard_edges import bake_surface, find_normal_uvs
 from preprocess.bake.materials import bake_materials, bake_normals, normal_tangents
 from preprocess.errors import InputError
-from preprocess.fit.weight_stack import pack_weights
 from preprocess.load import load_character
 from preprocess.mesh.raster import cover_atlas
 from preprocess.settings import Settings
 from runtime.asset.asset import Asset, TextureData
+from runtime.asset.weight_stack import pack_weights
 
 
 def find_source(asset: Asset) -> Path | None:

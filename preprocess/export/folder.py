@@ -72,13 +72,13 @@ def write_folder(
     warnings: Sequence[str],
     timings: Mapping[str, float],
     normal_uvs: Sequence[Floats | None],
-) -> tuple[LodRow, ...]:
+) -> dict[str, Any]:
     """Write everything into an empty folder. `normal_uvs` are those of the levels, as for `write_model_glb`.
 
     Returns
     -------
-    tuple of LodRow
-        As in the manifest, finest first.
+    dict
+        The manifest, as it was written.
     """
     lods = chain.lods
     rows = tuple(_row(f"{character.name}_LOD{i}", lod) for i, lod in enumerate(lods))
@@ -96,7 +96,7 @@ def write_folder(
     for file, row, lod, level in zip(files, rows, lods, levels):
         one: dict[str, Any] = {"names": [row.node], "levels": [level]}
         write_model_glb(folder / file, character, atlas.mesh, [lod], in_model, settings.influences, **one)
-    manifest = {
+    manifest: dict[str, Any] = {
         "schema": SCHEMA,
         "name": character.name,
         "source": {"file": character.source.name, "sha256": character.source_hash},
@@ -123,9 +123,15 @@ def write_folder(
         "timings": {name: round(seconds, 3) for name, seconds in timings.items()},
         "warnings": list(warnings),
     }
-    text = json.dumps(_finite(manifest | describe_contents(folder)), indent=1, ensure_ascii=False)
+    manifest |= describe_contents(folder)
+    write_manifest(folder, manifest)
+    return manifest
+
+
+def write_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
+    """Write manifest.json."""
+    text = json.dumps(_finite(manifest), indent=1, ensure_ascii=False)
     (folder / MANIFEST).write_text(text + "\n", encoding="utf-8", errors="replace")
-    return rows
 
 
 def _write_relief(folder: Path, finest: LodMesh, textures: Sequence[StoredTexture]) -> dict[str, Any]:
@@ -205,7 +211,7 @@ def _bounds(character: Character, atlas: Atlas) -> dict[str, Any]:
 
 def _finite(value: Any) -> Any:
     """JSON has no NaN or infinity: they become null."""
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [_finite(item) for item in value]
