@@ -8,6 +8,7 @@ is the place of its normal, and of colours that were painted there (docs/format.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +22,7 @@ from preprocess.export.materials import describe_textures, plan_draws, uv_set
 from preprocess.load.character import Character
 from preprocess.mesh.surface import SkinnedMesh
 from preprocess.mesh.texels import UV_STEPS
-from runtime.animation.clip import Clip
+from runtime.animation.clip import Clip, Track
 from runtime.animation.skeleton import Skeleton
 
 if TYPE_CHECKING:
@@ -155,11 +156,23 @@ def _add_skin(
     return skin, roots
 
 
-def _describe_clip(clip: Clip, buffer: _Buffer) -> dict[str, Any] | None:
-    """A clip with its keys as they are; None for one without tracks, which glTF does not allow."""
+def _still_track(clip: Clip, skeleton: Skeleton) -> tuple[Track, ...]:
+    """For a clip that moves no node (morph weights alone): a node that stays as it is, since glTF wants a channel.
+
+    So every clip keeps its number, here, in the manifest and in its bounds.
+    """
+    free = np.setdiff1d(np.arange(skeleton.num_nodes), skeleton.matrix_nodes)
+    times = np.unique([0.0, clip.duration_s])
+    return tuple(
+        Track(int(node), "scale", "LINEAR", times, np.tile(skeleton.scale[node], (len(times), 1))) for node in free[:1]
+    )
+
+
+def _describe_clip(clip: Clip, skeleton: Skeleton, buffer: _Buffer) -> dict[str, Any] | None:
+    """A clip with its keys as they are; None where the skeleton has no node that a clip can move."""
     samplers: list[dict[str, Any]] = []
     channels: list[dict[str, Any]] = []
-    for track in clip.tracks:
+    for track in clip.tracks or _still_track(clip, skeleton):
         values = track.values
         if track.interpolation == "CUBICSPLINE":
             values = values.reshape(-1, values.shape[-1])
@@ -212,6 +225,17 @@ def _describe_mesh(
             {"attributes": attributes, "indices": buffer.accessor(indices, ELEMENT_ARRAY_BUFFER), "material": draw}
         )
     return {"name": name, "primitives": primitives}
+
+
+def _drawing_order(
+    face_source: NDArray[np.integer], face_draws: NDArray[np.int64], materials: Sequence[Mapping[str, Any]]
+) -> NDArray[np.int64]:
+    """Order of a level's faces, (F,): as the file has them where they are blended, since the order is seen there.
+
+    Others stay in the order that suits vertex caches.
+    """
+    is_blended = np.array([material.get("alphaMode") == "BLEND" for material in materials])
+    return np.argsort(np.where(is_blended[face_draws], face_source, np.arange(len(face_source))), kind="stable")
 
 
 def screen_coverage(lods: Sequence[Lod], diagonal_m: float) -> list[float]:
@@ -282,7 +306,9 @@ def describe_model(
     for name, lod, level in zip(names, lods, levels):
         face_draws = draw_of_material[mesh.face_materials[lod.face_source]]
         nodes.append({"name": name, "mesh": len(meshes), "skin": 0})
-        meshes.append(_describe_mesh(name, level, face_draws, buffer, second_uvs))
+        order = _drawing_order(lod.face_source, face_draws, materials)
+        level = replace(level, faces=level.faces[order])
+        meshes.append(_describe_mesh(name, level, face_draws[order], buffer, second_uvs))
     extensions = {key for material in materials for key in material.get("extensions", {})}
     if len(lods) > 1:
         nodes[first]["extensions"] = {"MSFT_lod": {"ids": list(range(first + 1, len(nodes)))}}
@@ -290,7 +316,7 @@ def describe_model(
         if coverage:
             nodes[first]["extras"] = {"MSFT_screencoverage": coverage}
         extensions.add("MSFT_lod")
-    clips = [spec for spec in (_describe_clip(clip, buffer) for clip in character.clips) if spec is not None]
+    clips = [spec for spec in (_describe_clip(clip, skeleton, buffer) for clip in character.clips) if spec is not None]
     buffer.finish()
 
     model: dict[str, Any] = {
