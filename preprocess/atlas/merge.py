@@ -16,10 +16,10 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from preprocess.arrays import Floats, Ints
+from preprocess.arrays import Bools, Floats, Ints
 from preprocess.atlas.distortion import overlapping_charts, singular_values, sums, turned_areas
 from preprocess.atlas.flatten import flatten_free, local_triangles
-from preprocess.mesh.edges import Bools, MeshEdges, label_faces
+from preprocess.mesh.edges import MeshEdges, label_faces
 
 log = logging.getLogger(__name__)
 
@@ -46,7 +46,7 @@ NARROW_REL = 0.2
 GAP_REL = 1e-4
 """Of a chart's size: borders that are nearer once moved need no relaxing."""
 
-RELAX_STEPS = 6
+RELAX_STEPS = 4
 MOST_ROUNDS = 60
 
 

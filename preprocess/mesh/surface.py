@@ -1,6 +1,6 @@
 """The arrays that flow through the pipeline. Stages return new ones and never change their input.
 
-Letters in shapes: V surface vertices, T texture vertices, F faces, J joints, K influences a vertex, L texcoord sets.
+Letters in shapes: V surface vertices, T texture vertices, F faces, J joints, K influences per vertex, L texcoord sets.
 A surface vertex is a welded 3D point; a texture vertex is one of its uv images. Where a surface vertex has two or
 more texture vertices a seam runs through it (paper, section 5.2: the pair is the paper's Z vertex).
 """
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.arrays import Floats, Ints
+from preprocess.mesh.morphs import Morph
 
 
 @dataclass(frozen=True)
@@ -63,11 +64,11 @@ class SkinnedMesh:
         In object space at bind pose. After loading, its uvs are the source's TEXCOORD_0 welded (one uv at 0, 0
         for all corners where the file has none: see `has_uvs`); after the atlas stage, the atlas.
     corner_normals : (F, 3, 3) float64
-        Unit normals a corner, object space, from the file (or computed where it has none).
+        Unit normals per corner, object space, from the file (or computed where it has none).
     corner_tangents : (F, 3, 4) float64 or None
         glTF tangents (xyz, handedness) where the file has them, NaN where it has none.
     corner_texcoords : (F, 3, L, 2) float64
-        The source's own texture coordinates a corner, one a TEXCOORD set (L may be 0). They stay when the atlas
+        The source's own texture coordinates per corner, one per TEXCOORD set (L may be 0). They stay when the atlas
         changes: colours are resampled through them.
     corner_colors : (F, 3, 4) float32 or None
         Linear vertex colours (COLOR_0), white where a part has none.
@@ -81,6 +82,8 @@ class SkinnedMesh:
         Which primitive of the file a face came from.
     has_uvs : bool
         Whether every face came with texture coordinates.
+    morphs : tuple of Morph
+        Blend shapes, relative to `surface`.
     face_num_texcoords : (F,) int32 or None
         How many of the L sets each face came with; its others are zeros and mean nothing. None: all.
     """
@@ -95,6 +98,7 @@ class SkinnedMesh:
     face_materials: Ints
     face_parts: Ints
     has_uvs: bool
+    morphs: tuple[Morph, ...] = ()
     face_num_texcoords: Ints | None = None
 
     @property
@@ -139,4 +143,8 @@ class SkinnedMesh:
         assert len(self.joint_indices) == num_vertices
         assert (self.joint_weights >= 0).all()
         assert np.allclose(self.joint_weights.sum(axis=1), 1.0, atol=1e-6)
+        for morph in self.morphs:
+            assert morph.shifts.shape == (len(morph.vertices), 3) and morph.turns.shape == (len(morph.vertices), 3, 3)
+            assert np.isfinite(morph.shifts).all() and np.isfinite(morph.turns).all()
+            assert not len(morph.vertices) or 0 <= morph.vertices.min() <= morph.vertices.max() < num_vertices
         assert self.face_materials.shape == self.face_parts.shape == (num_faces,)

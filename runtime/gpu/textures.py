@@ -33,6 +33,8 @@ TEXTURE_UNITS = {
     "orm_texture": 7,
     "emissive_texture": 8,
     "reflection_texture": 9,
+    "morph_numbers": 10,
+    "morph_sums": 11,
 }
 NUM_TEXTURE_UNITS = len(TEXTURE_UNITS)
 MATERIAL_TEXTURES = ("normal_texture", "base_color_texture", "orm_texture", "emissive_texture")
