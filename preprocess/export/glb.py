@@ -178,7 +178,7 @@ def _add_skin(
 
 
 def _with_channel(clip: Clip, skeleton: Skeleton) -> Clip:
-    """A clip that moves nothing, with a node that stays as it is: glTF wants a channel, and clips keep their numbers."""
+    """A clip that moves nothing, with a still node: glTF wants a channel, and clips keep their numbers."""
     free = np.setdiff1d(np.arange(skeleton.num_nodes), skeleton.matrix_nodes)
     if clip.tracks or not len(free):
         return clip

@@ -38,12 +38,12 @@ class Quality:
         Adaptive tessellation divides edges into pieces of about this length, pixels.
     texels_per_segment : float
         But not into pieces shorter than this many texels of the position texture, which have nothing to add.
-    blend_prepass : bool
-        Whether blended materials first write the depth of what is nearly opaque in them: hair, leaves and feathers hide
-        what lies behind them, whatever the order of their faces. Not for panes of glass behind one another.
     prefer : "levels" or "tessellation"
         Whether chosen levels are drawn as they are, or divided where OpenGL 4.1 is there: rounder, and dearer. Their
         largest error is then taken as all that dividing may add to it.
+    blend_prepass : bool
+        Whether blended materials first write the depth of what is nearly opaque in them: hair, leaves and feathers hide
+        what lies behind them, whatever the order of their faces. Not for panes of glass behind one another.
 
     Raises
     ------
