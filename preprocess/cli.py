@@ -75,7 +75,7 @@ def main(arguments: Sequence[str]) -> int:
     except InputError as error:
         return _refuse(str(error))
     except KeyboardInterrupt as interrupt:  # a command that has written something says what
-        print(f"preprocess: interrupted; {interrupt or 'nothing was written'}", file=sys.stderr)
+        print(f"preprocess: interrupted; {str(interrupt) or 'nothing was written'}", file=sys.stderr)
         return 130
     except Exception as error:
         surroundings = _name_surroundings(error)

@@ -186,8 +186,7 @@ class TextureStage:
 
     def weights(self) -> StoredTexture:
         """Joint weights, a partition of unity as stored."""
-        num_joints = self.character.skeleton.num_joints
-        return store_weights(self.mesh, self.seams, num_joints, self.settings.weight_size_px)
+        return store_weights(self.mesh, self.seams, self.mesh.num_moving_joints, self.settings.weight_size_px)
 
     def _normal(self) -> _Job:
         """Object-space normals with the source's normal maps in them, 16 bits; hard edges stay."""
