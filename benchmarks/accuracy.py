@@ -108,7 +108,7 @@ def measure_memory(asset: Asset) -> dict[str, Any]:
 
 
 def run(argv: list[str]) -> list[dict[str, Any]]:
-    """Measure and print; one row a character."""
+    """Measure and print; one row per character."""
     parser = command_line("accuracy", __doc__)
     parser.add_argument("--built", type=Path, nargs="+", help=BUILT_HELP)
     parser.add_argument("--sources", type=Path, default=ASSETS, help="folder of the files they were built from")

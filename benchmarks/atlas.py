@@ -2,8 +2,8 @@
 
 All is measured on uvs as stored, at the size of the largest texture. `kept %`: of the surface, in charts of the
 source. `stretch`: longer against shorter axis, for 99.9 % of the surface. `sparse` and `stretched`: faces of a pixel or
-more, where the character is 1024 pixels large, with under a quarter of the median texels a metre or stretched more than
-4 : 1. `thin`: faces narrower than a texel. `seams`: their length in bounding diagonals. `reached`: faces at which
+more, where the character is 1024 pixels large, with under a quarter of the median texels per metre or stretched more
+than 4 : 1. `thin`: faces narrower than a texel. `seams`: their length in bounding diagonals. `reached`: faces at which
 decimation stops with all seams intact. CPU seconds of the atlas alone, textures looked at included.
 """
 

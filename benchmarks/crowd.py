@@ -4,7 +4,7 @@ All of them run in one context in one run, with the same culling, the same baked
 differs is the meshes and textures: (a) the source file's own mesh, (b) levels that meshoptimizer makes from it, ours
 the built character's. (a) and (b) are skinned by vertex attributes; (b) is also given the ready-made poses that coarse
 levels of ours have, and is chosen by the error that it reports or by its largest error in any pose, measured as ours
-is. Pictures have eight samples a pixel; their error is measured against full detail with nine pixels for one and a
+is. Pictures have eight samples per pixel; their error is measured against full detail with nine pixels for one and a
 padded texture, so that neither edges nor bleeding mip levels are in the reference.
 
 CPU time counts all threads of the process: in software OpenGL it is the work, whatever else the machine does.
@@ -309,7 +309,7 @@ class _Bench:
             self.renderer.draw([crowd], self.camera, view="base_color")
 
     def picture(self, crowd: runtime.Crowd, threshold_px: float) -> NDArray[np.uint8]:
-        """What is compared with the reference: eight samples a pixel."""
+        """What is compared with the reference: eight samples per pixel."""
         self.draw(crowd, self.smooth, threshold_px)
         return self.smooth.pixels()
 

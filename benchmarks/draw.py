@@ -169,12 +169,12 @@ def add_layouts(bench: Bench) -> dict[str, int]:
     finest = bench.model.lods[0]
     own, both, defines = finest.vertices, finest.attributes, dict(finest.program_defines)
     defines.pop("NORMAL_UV", None)
-    bench.add("textures: records a cell", "static.vert", own, both, defines)
+    bench.add("textures: records per cell", "static.vert", own, both, defines)
     bench.add("textures: lists a texel", "layouts.vert", own, both, {**defines, "LAYOUT_LISTS": 1, "LISTS": lists})
     bench.add("textures: dense layers", "layouts.vert", own, both, {**defines, "LAYOUT_DENSE": 1, "LAYERS": layers})
     return {
         "vertex attributes": 8 * len(bench.mesh.uvs),
-        "textures: records a cell": bench.model.weight_cells.nbytes,
+        "textures: records per cell": bench.model.weight_cells.nbytes,
         "textures: lists a texel": stacked[0].astype(np.uint8).nbytes + stacked[1].astype(np.uint8).nbytes,
         "textures: dense layers": dense_stack.nbytes,
     }
@@ -231,7 +231,7 @@ def measure_layouts(bench: Bench, canvas: Canvas, rounds: int) -> list[dict[str,
             "Mvertices/s": len(bench.mesh.uvs) / seconds[name] / 1e6,
             "weight bytes": weight_bytes[name],
             "pixels unlike the records'": int(
-                (pictures[name] != pictures["textures: records a cell"]).any(axis=-1).sum()
+                (pictures[name] != pictures["textures: records per cell"]).any(axis=-1).sum()
             ),
         }
         for name in times

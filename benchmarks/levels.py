@@ -28,7 +28,7 @@ from preprocess.settings import Settings
 
 MODELS = ("human.glb", "mannequiny.glb", "Knight.glb", "Fox.glb")
 ERRORS_REL = (0.001, 0.002, 0.004, 0.008, 0.016, 0.032)
-STEPS_AN_OCTAVE, COARSEST_FACES = 3, 60
+STEPS_PER_OCTAVE, COARSEST_FACES = 3, 60
 
 Ladder = list[tuple[int, float]]  # faces and largest error, metres, of each level
 
@@ -51,7 +51,7 @@ def _meshoptimizer(surface: TexturedSurface, reference: Reference) -> Ladder | N
         )
         faces = result[:count].reshape(-1, 3).astype(np.int32)
         levels.append((len(faces), _largest_m(reference, surface.positions, faces)))
-        wanted /= 2 ** (1 / STEPS_AN_OCTAVE)
+        wanted /= 2 ** (1 / STEPS_PER_OCTAVE)
     return levels
 
 
@@ -81,7 +81,7 @@ def _measure(model: Path) -> list[dict[str, Any]]:
         draw_groups(character, mesh.face_materials),
     )
     octaves = np.log2(len(surface.faces) / COARSEST_FACES)
-    ratios = tuple(2.0 ** (-np.arange(int(octaves * STEPS_AN_OCTAVE) + 1) / STEPS_AN_OCTAVE))
+    ratios = tuple(2.0 ** (-np.arange(int(octaves * STEPS_PER_OCTAVE) + 1) / STEPS_PER_OCTAVE))
 
     def ours(peak_weight: float | None) -> Ladder:
         options = DecimateOptions(ratios=ratios, peak_weight=peak_weight)

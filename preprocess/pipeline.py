@@ -162,10 +162,13 @@ def _build_once(character: Character, folder: Path, settings: Settings, progress
     with progress.stage("levels") as stage:
         chain = _build_lods(character, atlas, textures, poses, settings)
         lods = chain.lods if stored.mesh is atlas.mesh else snap_levels(chain.lods)
-        textures, lods = fit_levels(stored.mesh, textures, lods, poses)
+        stage.delta = " → ".join(str(lod.num_faces) for lod in lods)
+    with progress.stage("fit") as stage:
+        geometry, lods = fit_levels(stored.mesh, lods, poses, settings.geometry_size_px, settings.weight_size_px)
+        textures = [*geometry, *textures]
         chain = dataclasses.replace(chain, lods=lods)
         normal_uvs = baking.level_normal_uvs(chain.lods)
-        stage.delta = " → ".join(str(lod.num_faces) for lod in chain.lods)
+        stage.delta = ", ".join(f"{t.name} {t.size[0]}×{t.size[1]}" for t in geometry)
     warnings = (
         *character.warnings,
         *atlas.warnings,
@@ -196,8 +199,7 @@ def _build_lods(
     """The chain of levels, costed and measured in the sampled poses."""
     mesh = atlas.mesh
     # Levels are costed where the surface is: what the stored texture misses is made up for by `fit_levels`.
-    side = max(SURFACE_PX, *(max(t.size) for t in textures if t.name == "position"))
-    position = bake_surface_positions(mesh, (side, side))
+    position = bake_surface_positions(mesh, (SURFACE_PX, SURFACE_PX))
     dense = mesh.dense_weights(poses.shape[1])
     blended = np.einsum("vj,pjik->pvik", dense, poses[:, :, :3])
     options = DecimateOptions(

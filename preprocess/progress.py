@@ -13,7 +13,7 @@ from typing import Any
 
 from preprocess.numerics.compile_progress import COMPILING, watch_compiling
 
-WORTH_A_WORD_S = 1.0  # of compiling, in a stage's line
+WORTH_SAYING_S = 1.0  # of compiling, in a stage's line
 
 
 @contextlib.contextmanager
@@ -48,7 +48,7 @@ class Progress:
         seconds = time.perf_counter() - start
         self.seconds[name] = self.seconds.get(name, 0.0) + seconds
         text = f"  {name:<12}{seconds:6.1f} s   {stage.delta}".rstrip()
-        if compiling.seconds >= WORTH_A_WORD_S:
+        if compiling.seconds >= WORTH_SAYING_S:
             text += f" ({compiling.seconds:.0f} s of it compiling)"
         self._print(text)
 

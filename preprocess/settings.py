@@ -34,7 +34,7 @@ class Settings:
     exact : bool
         Leave out levels near and below the exact floor whose seams are relaxed, by half a texel of their mip at most.
     influences : int
-        Joint influences a vertex in model.glb: 4 or 8.
+        Joint influences per vertex in model.glb: 4 or 8.
     separate_lods : bool
         Also write each level as a file of its own, model_LOD0.glb …: for engines that pair files, not nodes.
     ktx2 : bool

@@ -11,7 +11,8 @@ from preprocess.atlas.flatten import LEAST_HEIGHT_REL, flatten_free, local_trian
 from preprocess.atlas.merge import MOST_STRETCH, merge_charts
 from preprocess.atlas.segment import CONE_COSINE, grow_regions
 from preprocess.atlas.unwrap import unwrap
-from preprocess.mesh.edges import cut_edges, face_frames, find_edges, label_faces
+from preprocess.mesh.edges import cut_edges, find_edges, label_faces
+from preprocess.mesh.face_geometry import face_frames
 
 
 def lay_out(positions: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:

@@ -4,8 +4,6 @@ import json
 import signal
 import subprocess
 import sys
-import threading
-import time
 from pathlib import Path
 
 import pytest
@@ -244,24 +242,3 @@ def test_an_input_is_never_the_output(tmp_path: Path) -> None:
     link.symlink_to(source)
     with pytest.raises(InputError, match="is the input itself"):
         check_not_input(link, [source])
-
-
-def test_an_interrupt_does_not_wait_for_other_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A factorisation of a large system takes minutes and cannot be stopped from outside."""
-    from preprocess.fit.textures import TextureStage
-
-    release = threading.Event()
-
-    def interrupt(self: TextureStage) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(TextureStage, "position", lambda self: release.wait(30))
-    monkeypatch.setattr(TextureStage, "weights", lambda self: None)
-    monkeypatch.setattr(TextureStage, "_normal", interrupt)
-    start = time.monotonic()
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            object.__new__(TextureStage).build()
-        assert time.monotonic() - start < 10
-    finally:
-        release.set()

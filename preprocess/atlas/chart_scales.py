@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from preprocess.arrays import Floats
 from preprocess.atlas.distortion import sums, turned_areas
-from preprocess.mesh.edges import cut_edges, face_frames, find_edges, label_faces
+from preprocess.mesh.edges import cut_edges, find_edges, label_faces
+from preprocess.mesh.face_geometry import face_frames
 from preprocess.mesh.surface import TexturedSurface
 
 MIN_SIZE_PX, MAX_SIZE_PX = 512, 4096  # of an automatic size; borders between flat colours need some texels too

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from preprocess.arrays import Floats
 from preprocess.atlas.distortion import turned_areas
 from preprocess.load import Character, Material, TextureRef
-from preprocess.mesh.edges import face_frames
+from preprocess.mesh.face_geometry import face_frames
 from preprocess.mesh.surface import SkinnedMesh
 from preprocess.numerics.jit import entry
 

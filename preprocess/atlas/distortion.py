@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.arrays import Floats
-from preprocess.mesh.edges import Bools
+from preprocess.arrays import Bools, Floats
 from preprocess.mesh.uv_overlap import find_overlap
 
 APART = 1.02

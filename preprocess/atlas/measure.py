@@ -10,7 +10,7 @@ from preprocess.arrays import Floats
 from preprocess.atlas.distortion import singular_values, turned_areas
 from preprocess.atlas.flatten import local_triangles
 from preprocess.atlas.source_charts import LEAST_DENSITY, MOST_STRETCH
-from preprocess.mesh.edges import face_frames
+from preprocess.mesh.face_geometry import face_frames
 from preprocess.mesh.seams import find_seams
 from preprocess.mesh.surface import TexturedSurface
 

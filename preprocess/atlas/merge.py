@@ -16,10 +16,10 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from preprocess.arrays import Floats, Ints
+from preprocess.arrays import Bools, Floats, Ints
 from preprocess.atlas.distortion import overlapping_charts, singular_values, sums, turned_areas
 from preprocess.atlas.flatten import flatten_free, local_triangles
-from preprocess.mesh.edges import Bools, MeshEdges, label_faces
+from preprocess.mesh.edges import MeshEdges, label_faces
 
 log = logging.getLogger(__name__)
 

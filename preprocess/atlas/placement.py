@@ -9,7 +9,8 @@ from preprocess.arrays import Floats, Ints
 from preprocess.atlas.chart_scales import chart_densities, texture_side
 from preprocess.atlas.distortion import turned_areas
 from preprocess.atlas.pack import pack_charts
-from preprocess.mesh.edges import cut_edges, face_frames, find_edges, label_faces
+from preprocess.mesh.edges import cut_edges, find_edges, label_faces
+from preprocess.mesh.face_geometry import face_frames
 from preprocess.mesh.surface import TexturedSurface
 
 GUTTER_SIZE_PX, GUTTER_PX = 1024, 8.0

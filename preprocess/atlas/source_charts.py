@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from preprocess.arrays import Floats, Ints
+from preprocess.arrays import Bools, Floats, Indices, Ints
 from preprocess.atlas.distortion import overlapping_faces, singular_values, turned_areas
 from preprocess.atlas.flatten import flatten_free
-from preprocess.mesh.edges import Bools, find_edges, label_faces
+from preprocess.mesh.edges import find_edges, label_faces
 from preprocess.mesh.predicates import face_orientation
 from preprocess.mesh.surface import TexturedSurface
-
-Int64s = NDArray[np.int64]
 
 MOST_STRETCH, LEAST_DENSITY = 4.0, 0.25
 """A face stretched more than this, or with a smaller share of its chart's texels a metre, is crushed."""
@@ -36,7 +34,7 @@ SOUND_SHARE = 0.5
 """Of a connected part's area that has to be sound for any of its charts to be kept."""
 
 
-def find_charts(surface: TexturedSurface, groups: NDArray[np.integer] | None = None) -> Int64s:
+def find_charts(surface: TexturedSurface, groups: NDArray[np.integer] | None = None) -> Indices:
     """Charts: faces that meet at uv edges without folding over, (F,) int64, numbered in the order of their first face.
 
     Faces that share a texture vertex alone, or lie on the same side of a shared uv edge (a mirrored half), belong to
@@ -58,7 +56,7 @@ def find_charts(surface: TexturedSurface, groups: NDArray[np.integer] | None = N
     return _number_anew(connected_components(links, directed=False)[1])
 
 
-def find_sound_charts(surface: TexturedSurface, flat: Floats, texels: Floats) -> Int64s:
+def find_sound_charts(surface: TexturedSurface, flat: Floats, texels: Floats) -> Indices:
     """Charts that can be kept, (F,) int64; -1 for faces that have to be unwrapped.
 
     Parameters
@@ -94,7 +92,7 @@ def find_sound_charts(surface: TexturedSurface, flat: Floats, texels: Floats) ->
     return charts
 
 
-def _find_unsound(corners: Floats, flat: Floats, areas: Floats, charts: Int64s) -> Bools:
+def _find_unsound(corners: Floats, flat: Floats, areas: Floats, charts: Indices) -> Bools:
     """Faces that cannot stay, (F,) bool: those of unsound charts and those that overlap others within sound ones."""
     num_charts = int(charts.max()) + 1
     chart_areas = np.bincount(charts, areas, num_charts)
@@ -107,7 +105,7 @@ def _find_unsound(corners: Floats, flat: Floats, areas: Floats, charts: Int64s) 
 
 
 def relax_crushed_charts(
-    uvs: Floats, face_uvs: Ints, flat: Floats, charts: Int64s, areas: Floats, seen_area: float
+    uvs: Floats, face_uvs: Ints, flat: Floats, charts: Indices, areas: Floats, seen_area: float
 ) -> Floats:
     """Let charts with crushed faces that can be seen find the shape that suits them all, where it is one-to-one.
 
@@ -163,7 +161,7 @@ def in_parts_with_little(faces: Ints, areas: Floats, good: Bools) -> Bools:
     return np.asarray(sound < SOUND_SHARE * np.bincount(parts, areas, num_parts))[parts]
 
 
-def _number_anew(labels: NDArray[np.integer]) -> Int64s:
+def _number_anew(labels: NDArray[np.integer]) -> Indices:
     """The same classes numbered in the order of their first members."""
     _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
     rank = np.empty(len(first), np.int64)

@@ -9,12 +9,13 @@ import logging
 
 import numpy as np
 
-from preprocess.arrays import Floats, Ints
+from preprocess.arrays import Bools, Floats, Ints
 from preprocess.atlas.distortion import overlapping_charts, singular_values, turned_areas
 from preprocess.atlas.flatten import flatten_free, local_triangles, project_charts
 from preprocess.atlas.merge import MOST_STRETCH, merge_charts
 from preprocess.atlas.segment import grow_regions
-from preprocess.mesh.edges import Bools, MeshEdges, face_frames, find_edges, label_corners, label_faces
+from preprocess.mesh.edges import MeshEdges, find_edges, label_corners, label_faces
+from preprocess.mesh.face_geometry import face_frames
 
 log = logging.getLogger(__name__)
 

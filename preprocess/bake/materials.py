@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.arrays import Floats
+from preprocess.arrays import Floats, Singles
 from preprocess.atlas.chart_scales import MAX_SIZE_PX
 from preprocess.bake.color_sizes import color_side, transformed
 from preprocess.files.resample import sample_footprints
@@ -26,8 +26,6 @@ from preprocess.mesh.texels import uv_to_px
 
 if TYPE_CHECKING:
     from preprocess.load import Character, Material, TextureRef
-
-Singles = NDArray[np.float32]
 
 POINTS_AT_A_TIME = 1 << 20
 

@@ -93,7 +93,7 @@ def _box_weights(size: int, new_size: int) -> sparse.csr_array:
     return sparse.csr_array((overlap[kept] / scale, (rows[kept], columns[kept])), shape=(new_size, size))
 
 
-def shrink(texels: Floats, used: NDArray[np.bool_], width: int, height: int) -> Floats:
+def shrink(texels: NDArray[Any], used: NDArray[np.bool_], width: int, height: int) -> NDArray[Any]:
     """Box-filter an image over its used texels.
 
     Parameters
@@ -111,7 +111,7 @@ def shrink(texels: Floats, used: NDArray[np.bool_], width: int, height: int) -> 
     old_height, old_width, channels = texels.shape
     down, across = (_box_weights(*sizes).astype(texels.dtype) for sizes in ((old_height, height), (old_width, width)))
 
-    def average(image: Floats) -> Floats:
+    def average(image: NDArray[Any]) -> NDArray[Any]:
         rows = (down @ image.reshape(old_height, -1)).reshape(height, old_width, -1)
         turned = np.ascontiguousarray(rows.transpose(1, 0, 2)).reshape(old_width, -1)
         return (across @ turned).reshape(width, height, -1).transpose(1, 0, 2)

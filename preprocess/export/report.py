@@ -171,7 +171,7 @@ def _figure_of(caption: str, png: bytes) -> str:
 
 
 def draw_atlas(surface: TexturedSurface, size_px: int = PICTURE_PX) -> NDArray[np.float64]:
-    """The atlas with a colour a chart, triangles shaded lightly, (H, W, 3) float64 in [0, 1]."""
+    """The atlas with a colour per chart, triangles shaded lightly, (H, W, 3) float64 in [0, 1]."""
     coverage = rasterise(surface.uvs, surface.face_uvs, size_px, size_px, 0.0)
     charts = chart_of_faces(surface)
     palette = np.random.default_rng(7).uniform(0.45, 0.95, (int(charts.max(initial=0)) + 1, 3))

@@ -33,12 +33,11 @@ from preprocess.erase import (
 from preprocess.erase.local.mips import Bands, close_mips
 from preprocess.erase.mips import is_crowded, mip_sizes
 from preprocess.erase.seam_classification import Decision, choose_color_seams, choose_normal_seams, draw_decision
-from preprocess.fit.geometry_maps import store_positions, store_weights
 from preprocess.fit.level_normal_uvs import find_level_normal_uvs
 from preprocess.fit.stored_texture import StoredTexture, jump
 from preprocess.load import Character
 from preprocess.mesh.raster import Coverage, cover_atlas
-from preprocess.mesh.seams import Seams, find_seams, pick_seams
+from preprocess.mesh.seams import Seams, find_seams, pack_seams, pick_seams
 from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
 from preprocess.settings import Settings
 
@@ -157,10 +156,9 @@ class TextureStage:
         return self._store(self._normal())
 
     def build(self) -> list[StoredTexture]:
-        """Every texture, on two threads; those with the same joined seams share their erasers and a thread."""
+        """Every texture but geometry, on two threads; those with the same joined seams share bands and a thread."""
         pool = ThreadPoolExecutor(2)
         try:
-            geometry = pool.submit(lambda: [self.position(), self.weights()])
             groups: dict[bytes, list[_Job]] = {}
             jobs = [self._normal(), *self._materials()]
             for job in jobs:
@@ -169,7 +167,7 @@ class TextureStage:
             running = [pool.submit(self._store_all, group) for group in longest_first]
             seen = {texture.name: texture for group in running for texture in group.result()}
             self.notes.sort()  # whichever thread was first
-            return [*geometry.result(), *(seen[job.name] for job in jobs)]
+            return [seen[job.name] for job in jobs]
         finally:
             pool.shutdown(wait=False, cancel_futures=True)  # an interrupt does not wait for a long factorisation
 
@@ -180,14 +178,6 @@ class TextureStage:
         size = (self.normal_size, self.normal_size)
         return [find_level_normal_uvs(self.mesh.surface, self.normal_uvs, lod, size) for lod in lods]
 
-    def position(self) -> StoredTexture:
-        """Object-space positions in 32-bit float."""
-        return store_positions(self.mesh, self.seams, self.settings.geometry_size_px)
-
-    def weights(self) -> StoredTexture:
-        """Joint weights, a partition of unity as stored."""
-        return store_weights(self.mesh, self.seams, self.mesh.num_moving_joints, self.settings.weight_size_px)
-
     def _normal(self) -> _Job:
         """Object-space normals with the source's normal maps in them, 16 bits; hard edges stay."""
         size, uvs, mesh = (self.normal_size, self.normal_size), self.normal_uvs, self.mesh
@@ -197,7 +187,8 @@ class TextureStage:
         coverage = self.cover(*size) if uvs is None else self.cover_moved(*size)
         baked = bake_normals(self.character, moved, tangents, coverage)
         erased_on = self._erased_on(decision, uvs)
-        samples = None if tangents is None else self._normal_samples(moved, tangents, *erased_on)
+        is_global = self.settings.seams == "global"
+        samples = None if tangents is None or not is_global else self._normal_samples(moved, tangents, *erased_on)
         return self._decided(
             _Job("normal", _encode_normals(baked), "uint16", 0, decision, erased_on=erased_on, samples=samples)
         )
@@ -315,6 +306,7 @@ class TextureStage:
         }
         if left:
             seam["left"] = left
+            seam["left_seams"] = pack_seams(self.mesh.surface, self.seams, ~job.decision.joined)
         texels = tuple(level.texels / float(steps) for level in levels)
         height, width = job.baked.shape[:2]
         self._note(job.name, levels, (width, height))

@@ -14,16 +14,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
-from preprocess.arrays import Floats, Indices
+from preprocess.arrays import Bools, Floats, Indices
 from preprocess.mesh.face_geometry import face_areas
 from preprocess.mesh.grouping import connected_groups, group_rows
 
 ANGLE_ROUNDS = 4  # enough for nine faces on an edge; more are cut apart
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

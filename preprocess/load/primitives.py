@@ -259,8 +259,7 @@ def _without_unused(primitive: Primitive) -> Primitive:
     used, corners = np.unique(primitive.faces, return_inverse=True)
     if len(used) == len(primitive.positions):
         return primitive
-    kept: dict[str, Any] = {"faces": corners.reshape(-1, 3)}
-    for name in ("positions", "normals", "tangents", "texcoords", "colors", "joints", "weights"):
-        array = getattr(primitive, name)
-        kept[name] = None if array is None else array[used]
-    return replace(primitive, **kept)
+    arrays = ("positions", "normals", "tangents", "texcoords", "colors", "joints", "weights")
+    values = {name: getattr(primitive, name) for name in arrays}
+    kept: dict[str, Any] = {name: None if array is None else array[used] for name, array in values.items()}
+    return replace(primitive, faces=corners.reshape(-1, 3), **kept)

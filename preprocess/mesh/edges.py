@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.arrays import Bools, Indices, Ints
-from preprocess.mesh.face_geometry import face_frames as face_frames
 from preprocess.mesh.grouping import connected_faces, connected_groups
 from preprocess.mesh.surface import TexturedSurface
 

@@ -165,3 +165,42 @@ def _find_foldovers(
     origin, tip = uv_start[left], uv_end[left]
     folded = side(left, origin, tip) * side(right, origin, tip) > 0
     return np.stack([origin[folded], tip[folded]], axis=1).astype(np.int32)
+
+
+STEPS_OF_UV = 4 * 65535  # to which uvs are rounded when seams are put in order: finer than they are stored
+
+
+def seam_order(surface: TexturedSurface, seams: Seams) -> NDArray[np.int64]:
+    """The seams in an order that depends on where they lie in the atlas alone, (S,).
+
+    Whoever finds the same seams anew, from a file whose faces and vertices have other numbers, puts them in the same
+    order.
+    """
+    steps = np.rint(surface.uvs[seams.uv_pairs] * STEPS_OF_UV).astype(np.int64)
+    keys = (steps[..., 0] << 32) + steps[..., 1]  # seam, side, end
+    keys = np.sort(keys, axis=2)
+    swapped = (keys[:, 0, 0] > keys[:, 1, 0]) | ((keys[:, 0, 0] == keys[:, 1, 0]) & (keys[:, 0, 1] > keys[:, 1, 1]))
+    keys = np.where(swapped[:, None, None], keys[:, ::-1], keys).reshape(-1, 4)
+    return np.lexsort(keys.T[::-1])
+
+
+def pack_seams(surface: TexturedSurface, seams: Seams, mask: NDArray[np.bool_]) -> str:
+    """Some of the seams, (S,) bool, as text: bits in the order of `seam_order`, hexadecimal."""
+    return np.packbits(mask[seam_order(surface, seams)]).tobytes().hex()
+
+
+def unpack_seams(surface: TexturedSurface, seams: Seams, text: str) -> NDArray[np.bool_]:
+    """The inverse of `pack_seams`.
+
+    Raises
+    ------
+    ValueError
+        If the text is not of as many seams.
+    """
+    data = bytes.fromhex(text)
+    count = len(seams.uv_pairs)
+    if len(data) != -(-count // 8):
+        raise ValueError(f"{8 * len(data)} bits are not {count} seams")
+    mask = np.zeros(count, bool)
+    mask[seam_order(surface, seams)] = np.unpackbits(np.frombuffer(data, np.uint8))[:count].astype(bool)
+    return mask

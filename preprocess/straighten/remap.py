@@ -24,12 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
-from preprocess.arrays import Floats
+from preprocess.arrays import Bools, Floats
 from preprocess.mesh.edges import chart_of_faces
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.numerics.jit import entry
-
-Bools = NDArray[np.bool_]
 
 LEAST_AREA = 1e-4  # of its rest area: a triangle below counts as folded (rounding is near 1e-12)
 SQUEEZED_AREA = 0.3  # of its rest area: a triangle below is relaxed

@@ -54,7 +54,7 @@ def positions_at(asset: Asset, uvs: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Drawn:
-    """The finest level of a built character as it is drawn.
+    """A level of a built character as it is drawn.
 
     Attributes
     ----------
@@ -133,9 +133,9 @@ class Drawn:
         return sampled / float(np.iinfo(level.dtype).max) if level.dtype.kind == "u" else sampled
 
 
-def read_drawn(asset: Asset) -> Drawn:
-    """Sample the finest level's vertices."""
-    lod = asset.lods[0]
+def read_drawn(asset: Asset, level: int = 0) -> Drawn:
+    """Sample a level's vertices."""
+    lod = asset.lods[level]
     first, vertex_of = distinct_rows(lod.canonical_uvs)
     owners = lod.canonical_uvs[first].astype(np.float64)
     triangles = lod.triangles.astype(np.int64)

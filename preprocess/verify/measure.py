@@ -115,6 +115,14 @@ def _rows(skeleton: Skeleton, clips: tuple[Clip, ...], moments: list[tuple[int, 
     return np.concatenate(rows), np.concatenate(joints)
 
 
+def pose_rows(skeleton: Skeleton, clips: tuple[Clip, ...], most: int = MAX_POSES) -> Floats:
+    """Skinning matrices of the rest pose and of moments of all clips, at most so many of them, (P, J, 3, 4)."""
+    moments = _moments(clips)
+    if len(moments) > most:
+        moments = [moments[number] for number in np.linspace(0, len(moments) - 1, most).astype(int)]
+    return _rows(skeleton, clips, moments)[0]
+
+
 def _pose(asset: Asset, character: Character) -> _Poses:
     common = min(len(asset.clips), len(character.clips))
     moments = _moments(character.clips[:common])
@@ -125,7 +133,7 @@ def _pose(asset: Asset, character: Character) -> _Poses:
     return _Poses(drawn, source, drawn_joints, source_joints, ("at rest", *names), ("", *clips))
 
 
-def _skinned(rows: Floats, weights: Floats, positions: Floats) -> Floats:
+def skinned(rows: Floats, weights: Floats, positions: Floats) -> Floats:
     """Linear blend skinning in 64 bits: (P, J, 3, 4), (N, J), (N, 3) to (P, N, 3)."""
     num_poses, num_joints = rows.shape[:2]
     flat = rows.transpose(1, 0, 2, 3).reshape(num_joints, num_poses * 12)
@@ -172,8 +180,8 @@ def _measure_vertices(
         used = np.flatnonzero(share[:, 0] > 0)
         weights[used] += share[used] * source.weights(around[used, corner])
         rest[used] += share[used] * source.mesh.surface.positions[around[used, corner]]
-    posed = _skinned(poses.drawn, drawn.weights[rows], drawn.positions[rows])
-    off = np.linalg.norm(posed - _skinned(poses.source, weights, rest), axis=2)
+    posed = skinned(poses.drawn, drawn.weights[rows], drawn.positions[rows])
+    off = np.linalg.norm(posed - skinned(poses.source, weights, rest), axis=2)
 
     def where(point: int) -> str:
         return _place(drawn, _face_of(drawn, int(rows[point])))
@@ -219,8 +227,8 @@ def _measure_middles(drawn: Drawn, source: Source, found: Match, poses: _Poses, 
     corners = source.mesh.surface.faces[found.faces[faces]]
     weights = np.stack([source.weights(corners[:, k]) for k in range(3)]).mean(axis=0)
     rest = source.mesh.surface.positions[corners].mean(axis=1)
-    posed = _skinned(poses.drawn, weights_at(drawn.asset, places), positions)
-    off = np.linalg.norm(posed - _skinned(poses.source, weights, rest), axis=2)
+    posed = skinned(poses.drawn, weights_at(drawn.asset, places), positions)
+    off = np.linalg.norm(posed - skinned(poses.source, weights, rest), axis=2)
     return _posed_spread(off, poses.names, scale, lambda point: _place(drawn, int(faces[point])))
 
 
@@ -235,19 +243,27 @@ class _Points:
     turns: Indices
 
 
-def _random_points(drawn: Drawn, found: Match) -> _Points:
-    """Spread evenly over the area of the faces that have a twin, the same every time."""
-    faces = np.flatnonzero(found.faces >= 0)
-    corners = drawn.positions[drawn.faces[faces]]
+def random_points(corners: Floats, count: int) -> tuple[Indices, Floats]:
+    """Faces (count,) and barycentric coordinates (count, 3), spread evenly over the area of faces (F, 3, 3).
+
+    The same every time; none where nothing has an area.
+    """
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    if not len(faces) or areas.sum() <= 0:
-        nothing = np.zeros(0, np.int64)
-        return _Points(nothing, np.zeros((0, 3)), nothing, np.zeros((0, 3)), nothing)
+    total = float(areas.sum())
+    if not total > 0:
+        return np.zeros(0, np.int64), np.zeros((0, 3))
     rng = np.random.default_rng(16)
-    at = (np.arange(NUM_POINTS) + rng.random(NUM_POINTS)) / NUM_POINTS * areas.sum()
-    chosen = faces[np.minimum(np.searchsorted(np.cumsum(areas), at), len(faces) - 1)]
-    root, share = np.sqrt(rng.random(NUM_POINTS)), rng.random(NUM_POINTS)
-    shares = np.stack([1.0 - root, root * (1.0 - share), root * share], axis=1)
+    at = (np.arange(count) + rng.random(count)) / count * total
+    faces = np.minimum(np.searchsorted(np.cumsum(areas), at), len(corners) - 1)
+    root, share = np.sqrt(rng.random(count)), rng.random(count)
+    return faces, np.stack([1.0 - root, root * (1.0 - share), root * share], axis=1)
+
+
+def _points_with_twins(drawn: Drawn, found: Match) -> _Points:
+    """Random points of the faces that have a twin."""
+    faces = np.flatnonzero(found.faces >= 0)
+    chosen, shares = random_points(drawn.positions[drawn.faces[faces]], NUM_POINTS)
+    chosen = faces[chosen]
     return _Points(chosen, shares, found.faces[chosen], found.source_shares(chosen, shares), found.turns[chosen])
 
 
@@ -335,7 +351,7 @@ def measure(asset: Asset, character: Character) -> Measurement:
     found = match(drawn, source)
     poses = _pose(asset, character)
     vertices, weights, outside = _measure_vertices(drawn, source, found, poses, scale)
-    points = _random_points(drawn, found)
+    points = _points_with_twins(drawn, found)
     base_color, emission, surface_factors = _measure_channels(drawn, source, points)
     apart = np.linalg.norm(poses.drawn_joints - poses.source_joints, axis=2)
     return Measurement(

@@ -78,7 +78,7 @@ def _round_to_unity(weights: NDArray[np.float64], levels: int) -> NDArray[np.int
     by_remainder = np.argsort(rounded - scaled, axis=1, kind="stable")
     rank = np.empty_like(by_remainder)
     np.put_along_axis(rank, by_remainder, np.broadcast_to(np.arange(weights.shape[1]), weights.shape), axis=1)
-    return rounded + (rank < missing[:, None])
+    return np.asarray(rounded + (rank < missing[:, None]), np.int64)
 
 
 def pack_weights(dense: NDArray[np.floating], max_slots: int = MAX_SLOTS) -> PackedWeights:

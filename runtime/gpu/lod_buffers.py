@@ -206,11 +206,10 @@ class Levels:
         key = (program_key, batch, level, kind)
         if key not in self._vertex_arrays:
             lod = self.lods[level]
-            indices = {
-                "triangles": lambda: lod.indices,
-                "patches": lambda: self.patches(level),
-                "seams": lambda: self.seam_lines(level),
-            }
+            if kind == "triangles":
+                indices: moderngl.Buffer | None = lod.indices
+            else:
+                indices = self.patches(level) if kind == "patches" else self.seam_lines(level)
             content = [
                 bind_buffer(program, lod.vertices, lod.attributes),
                 bind_buffer(program, lod.normal_uvs, NORMAL_UVS) if lod.normal_uvs is not None else None,
@@ -219,7 +218,7 @@ class Levels:
             self._vertex_arrays[key] = self.ctx.vertex_array(
                 program,
                 [entry for entry in content if entry is not None],
-                indices[kind](),
+                indices,
                 index_element_size=lod.index_size,
             )
         return self._vertex_arrays[key]

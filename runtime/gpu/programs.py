@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,10 +59,17 @@ class ShaderSource:
         return _MESSAGE_PLACE.sub(name, message)
 
 
+@lru_cache(maxsize=1)
+def _shader_folder() -> Traversable:
+    """Our GLSL files: inside the package where it was installed, beside it in a checkout."""
+    inside = resources.files("runtime").joinpath("shaders")
+    return inside if inside.is_dir() else Path(__file__).resolve().parents[2] / "shaders"
+
+
 @lru_cache(maxsize=128)
 def _read_own(name: str) -> str | None:
     """Text of a file in shaders/, None where there is none."""
-    entry = resources.files("shaders").joinpath(name)
+    entry = _shader_folder().joinpath(name)
     return entry.read_text(encoding="utf-8") if entry.is_file() else None
 
 

@@ -158,6 +158,31 @@ class Renderer(NotCopied):
 
     # Drawing
 
+    def clear(
+        self, red: float = 0.0, green: float = 0.0, blue: float = 0.0, alpha: float = 1.0, *, depth: float = 1.0
+    ) -> None:
+        """Fill the bound framebuffer, into which `draw` draws.
+
+        The one that is bound in OpenGL: moderngl's own `clear` fills, and binds, the last that moderngl itself was told
+        of, which is another where a toolkit (Qt) binds a widget's, and leaves alpha 0 unless told otherwise.
+
+        Parameters
+        ----------
+        red, green, blue, alpha : float, 0 to 1
+        depth : float
+            0 near, 1 far.
+
+        Raises
+        ------
+        RenderError
+            If the renderer was released, or something is no number.
+        """
+        self._require_usable()
+        if not all(is_number(value) for value in (red, green, blue, alpha, depth)):
+            raise RenderError(f"a framebuffer is cleared to numbers, not {describe((red, green, blue, alpha, depth))}")
+        with self._state:
+            gl_state.clear_bound((red, green, blue, alpha), depth)
+
     def draw(
         self,
         actors: Iterable[Actor | Drawable] | Actor | Drawable,

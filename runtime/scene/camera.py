@@ -336,4 +336,4 @@ def framing(
     distance = float((needed + points @ towards).max())
     distance = max(distance, 1e-6)
     eye = centre + towards * distance
-    return Camera(tuple(eye), tuple(centre), fovy_deg=fovy_deg)  # type: ignore[arg-type]
+    return Camera(tuple(eye), tuple(centre), fovy_deg=fovy_deg)

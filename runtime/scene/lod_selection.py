@@ -189,7 +189,7 @@ def choose_levels(
     allowed_m = threshold_px / np.maximum(pixels_per_metre, 1e-300)
     # NaN sorts last: nothing is known, nothing differs.
     finest, coarser = errors.searchsorted(_FINEST_AND_COARSER * allowed_m, side="right") - 1
-    return np.where(previous < 0, finest, np.minimum(finest, np.maximum(coarser, previous)))
+    return np.asarray(np.where(previous < 0, finest, np.minimum(finest, np.maximum(coarser, previous))))
 
 
 def monotonic_errors(errors_m: Floats) -> NDArray[np.float64]:

@@ -21,7 +21,7 @@ from scipy import ndimage, sparse
 
 from preprocess.arrays import Floats
 from preprocess.erase.energies import jump_weights
-from preprocess.erase.intervals import Intervals, split_edges
+from preprocess.erase.intervals import Intervals, cut_into_intervals
 from preprocess.erase.matrix import GRADIENT_MASS
 from preprocess.erase.options import EraseOptions
 from preprocess.erase.region import Region, find_region
@@ -187,7 +187,7 @@ def plan_band(surface: TexturedSurface, seams: Seams, width: int, height: int, o
         Which seams are joined, and the weights of change and gradient.
     """
     joined = slice(None) if options.joined is None else options.joined
-    intervals = split_edges(surface.uvs[seams.uv_pairs[joined]], width, height, repeat=options.repeat)
+    intervals = cut_into_intervals(surface.uvs[seams.uv_pairs[joined]], width, height, repeat=options.repeat)
     region = find_region(surface, seams, width, height, repeat=options.repeat, seam_cells=intervals.texels[:, :, 0])
     fading = fading_px(options, region.num_inside)
     texels, weights, lengths, interval_samples = _sample_seams(intervals)

@@ -110,8 +110,8 @@ def close_seams(
         kept = _round(band, given, values, after.copy(), limits)
     else:
         kept = np.rint(values * (levels / UNIT)) * (UNIT / levels) if levels else values
-    measures = (_in_unit(band.measure(jumps)) for jumps in (before, after, band.jumps(kept)))
-    return Closed(_put_back(texels, band, kept, levels), *measures, change=change)
+    seams = [_in_unit(band.measure(jumps)) for jumps in (before, after, band.jumps(kept))]
+    return Closed(_put_back(texels, band, kept, levels), seams[0], seams[1], seams[2], change)
 
 
 def _solve(band: Band, given: Floats, jumps: Floats, limits: Floats, low: float, high: float) -> Floats:

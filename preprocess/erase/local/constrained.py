@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from preprocess.arrays import Floats
+from preprocess.arrays import Bools, Floats
 from preprocess.erase.local.band import Band
 from preprocess.numerics.cholesky import factor_symmetric
 
@@ -42,7 +42,8 @@ def solve_near(
     low, high : float
         Range of the texels; infinite for none.
     """
-    near = band.samples_near((np.abs(jumps) > limits[:, None]).any(axis=1), RINGS)
+    exceeds: Bools = np.any(np.abs(jumps) > limits[:, None], axis=1)
+    near = band.samples_near(exceeds, RINGS)
     is_free = np.zeros(len(values), np.bool_)
     reads = band.sample_weights != 0.0
     is_free[band.sample_texels[near][reads[near]]] = True
