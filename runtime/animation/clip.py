@@ -183,7 +183,7 @@ def _read_tracks(
         try:
             track = _checked_track(node, path, mode, times - before, values, place, limits)
         except AssetError as error:
-            faults.append(f"left out: {error}")
+            faults.append(f"left out: {error}" + "".join(f" ({words})" for words in mended))
             continue
         faults += [f"{place}: {words}" for words in mended]
         tracks.append(replace(track, times=track.times + before))
