@@ -177,9 +177,9 @@ def test_joints_that_an_exporter_stored_as_floats(tmp_path: Path) -> None:
 def test_mesh_and_joints_of_scales_that_disagree(tmp_path: Path) -> None:
     """Clips that move a part by millions of its sizes are left out; a rest pose that does is refused."""
     builder = GltfBuilder()
-    top = block(builder, scale=[1e-10, 1e-10, 1e-10])
-    builder.clip("near", (top, "translation", "LINEAR", [0, 1], [[0, 0, 0], [1e-6, 0, 0]]))
-    builder.clip("far", (top, "translation", "LINEAR", [0, 1], [[0, 0, 0], [1, 0, 0]]))
+    top = block(builder, scale=[1e-5, 1e-5, 1e-5])
+    builder.clip("near", (top, "translation", "LINEAR", [0, 1], [[0, 0, 0], [1, 0, 0]]))
+    builder.clip("far", (top, "translation", "LINEAR", [0, 1], [[0, 0, 0], [100, 0, 0]]))
     character = load_character(builder.write(tmp_path / "a.glb"))
     assert [clip.name for clip in character.clips] == ["near"]
     assert any("clip 'far' left out: it moves parts by" in line for line in character.warnings)
@@ -193,7 +193,7 @@ def test_mesh_and_joints_of_scales_that_disagree(tmp_path: Path) -> None:
     root = builder.node()
     tip = builder.node(root, translation=[0, 1, 0])
     builder.node(mesh=builder.mesh(part), skin=builder.skin([root, tip]))
-    with pytest.raises(InputError, match="its joints at rest move parts by 7e.09 times the mesh's size"):
+    with pytest.raises(InputError, match="its joints at rest move parts by"):
         load_character(builder.write(tmp_path / "a.glb"))
 
 
