@@ -378,6 +378,44 @@ def test_a_character_without_targets_is_as_before(ctx: moderngl.Context, ball: r
         model.release()
 
 
+def _picture(renderer: runtime.Renderer, thing: Any, camera: runtime.Camera, into: moderngl.Framebuffer) -> np.ndarray:
+    into.use()
+    into.clear(depth=1.0)
+    renderer.draw([thing], camera, view="normal", lod=0, tessellation="off")
+    return np.frombuffer(into.read(components=3), np.uint8).reshape(64, 64, 3).astype(float)
+
+
+def test_a_crowd_shows_what_actors_show(
+    ctx: moderngl.Context, model: runtime.Model, picture: moderngl.Framebuffer
+) -> None:
+    """Weights baked with the clips, and an actor's own over them: the pictures of a single actor, and its bounds."""
+    renderer, crowd, actor = runtime.Renderer(ctx), runtime.Crowd(ctx, model, 3), model.actor("nod", time_s=0.5)
+    camera = runtime.Camera(eye=(1.0, 1.5, 3.0), target=(0, 1, 0), fovy_deg=60)
+    try:
+        crowd.play("nod", phases_s=0.5)
+        crowd.show([False, True, False])
+        bare = _picture(renderer, model.actor(), camera, picture)
+        wanted, found = (_picture(renderer, thing, camera, picture) for thing in (actor, crowd))
+        assert np.abs(wanted - bare).mean() > 1.0  # the clip shows
+        assert np.abs(wanted - found).mean() < 0.25
+        own = {"smile": 0.9, "twist": -1.5}
+        actor.set_morph_weights(own)
+        radius = crowd.state.spheres[1][1]
+        crowd.set_morph_weights({"smile": [0.1, 0.9], "twist": [3, -1.5]}, which=[0, 1])
+        wanted, found = (_picture(renderer, thing, camera, picture) for thing in (actor, crowd))
+        assert np.abs(wanted - found).mean() < 0.25
+        assert crowd.state.spheres[1][1] > radius
+        crowd.set_morph_weights(None)
+        actor.set_morph_weights(None)
+        wanted, found = (_picture(renderer, thing, camera, picture) for thing in (actor, crowd))
+        assert np.abs(wanted - found).mean() < 0.25
+        with pytest.raises(ValueError, match="no morph"):
+            crowd.set_morph_weights({"frown": 1})
+    finally:
+        crowd.release()
+        renderer.release()
+
+
 # Written
 
 

@@ -36,6 +36,42 @@ _DTYPE = np.float32
 LARGEST_WEIGHT = 100.0  # of a morph, either sign: glTF allows weights beyond one, and a mistake is a thousand
 
 
+def given_weights(skeleton: Skeleton, before: Floats, weights: Mapping[str, Any] | ArrayLike | None) -> Floats:
+    """Morph weights that code gives A actors, (A, M), NaN where a morph is the clips'; see `Mixer.set_morph_weights`.
+
+    before : (A, M)
+        What was given until now.
+    """
+    given = before.copy()
+    if weights is None:
+        given[:] = np.nan
+    elif isinstance(weights, Mapping):
+        for name, value in weights.items():
+            morph = skeleton.morph(name)
+            amount = np.nan if value is None else numbers(value, f"weights of {name!r}", LARGEST_WEIGHT)
+            if np.ndim(amount) and np.shape(amount) != (len(given),):
+                raise ValueError(f"{len(given)} actors need a weight of {name!r} each, or one for all")
+            given[:, morph] = amount
+    else:
+        given[:] = _checked_weights(weights, *given.shape)
+    return given
+
+
+def _checked_weights(weights: ArrayLike, num_actors: int, num_morphs: int) -> NDArray[np.float64]:
+    """Weights for actors, (M,) or (A, M), NaN where a morph is the clips'."""
+    try:
+        array = np.asarray(weights, np.float64)
+    except (TypeError, ValueError):
+        array = np.zeros(())
+    if array.shape not in ((num_morphs,), (num_actors, num_morphs)):
+        raise ValueError(
+            f"morph weights of {num_actors} actors are ({num_morphs},) or ({num_actors}, {num_morphs}) numbers, or a "
+            f"mapping of names to weights, not {describe(weights)}"
+        )
+    numbers(np.where(np.isnan(array), 0.0, array), "morph weights", LARGEST_WEIGHT)
+    return array
+
+
 class Mixer:
     """The state of all actors of one character.
 
@@ -312,35 +348,8 @@ class Mixer:
             When there is no such morph, or a number is not finite or larger than `LARGEST_WEIGHT`.
         """
         rows = np.atleast_1d(np.asarray(rows, dtype=np.int64))
-        given = self._given_morphs[rows]
-        if weights is None:
-            given[:] = np.nan
-        elif isinstance(weights, Mapping):
-            for name, value in weights.items():
-                morph = self.skeleton.morph(name)
-                amount = np.nan if value is None else numbers(value, f"weights of {name!r}", LARGEST_WEIGHT)
-                if np.ndim(amount) and np.shape(amount) != (len(rows),):
-                    raise ValueError(f"{len(rows)} actors need a weight of {name!r} each, or one for all")
-                given[:, morph] = amount
-        else:
-            given[:] = self._checked_weights(weights, len(rows))
-        self._given_morphs[rows] = given
+        self._given_morphs[rows] = given_weights(self.skeleton, self._given_morphs[rows], weights)
         self._dirty[rows] = True
-
-    def _checked_weights(self, weights: ArrayLike, num_actors: int) -> NDArray[np.float64]:
-        """Weights for actors, (M,) or (A, M), NaN where a morph is the clips'."""
-        count = len(self.skeleton.morphs)
-        try:
-            array = np.asarray(weights, np.float64)
-        except (TypeError, ValueError):
-            array = np.zeros(())
-        if array.shape not in ((count,), (num_actors, count)):
-            raise ValueError(
-                f"morph weights of {num_actors} actors are ({count},) or ({num_actors}, {count}) numbers, or a mapping "
-                f"of names to weights, not {describe(weights)}"
-            )
-        numbers(np.where(np.isnan(array), 0.0, array), "morph weights", LARGEST_WEIGHT)
-        return array
 
     def morph_weights(self, rows: ArrayLike) -> Floats:
         """Weights of the morphs of some rows, (A, M) float32."""
