@@ -246,7 +246,7 @@ def _relaxed_levels(engine: Engine, reference: Reference, finest: Lod, options: 
             wasteful = tried.num_faces > (1 - MIN_SAVING_REL) * last.num_faces or error_m * tried.num_faces >= score
             if wasteful or error_m > largest_m:
                 continue  # without measuring it
-            tried.engine.polish(rounds=1)
+            tried.engine.polish()
             lod = _measured(reference, tried.engine.snapshot(), error_m)
             if lod.error_m <= largest_m and lod.error_m * lod.num_faces < score:
                 best, best_lod = tried, lod

@@ -85,7 +85,7 @@ class Mesh(NamedTuple):
     work : (24, 10) float64
         Scratch: candidates in the first 8 rows, the small linear system in rows 8 to 12, a position quadric in row
         13, a point in row 14, weights in row 15, a vertex in each pose of the witnesses from row 16 on.
-    settings : (8,) float64
+    settings : (9,) float64
     counter : (8,) int64
         See the slots below.
     heap_cost : (3 F',) float64

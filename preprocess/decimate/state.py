@@ -46,8 +46,8 @@ MIN_SHAPE = 1e-3
 BOUNDARY_WEIGHT = 1.0
 # Faces around one collapse that are looked at for their witnesses; more leave them unheard.
 FAN_SIZE = 256
-# Times every edge and vertex is tried when a level is polished; after each of so many rounds poses are taken anew.
-POLISH_SWEEPS, POLISH_ROUNDS = 2, 2
+# Times every edge and vertex is tried when a level is polished.
+POLISH_SWEEPS = 2
 
 _STRICT = {
     Strictness.NONE: rules.STRICT_NONE,
@@ -103,6 +103,10 @@ def _seam_tolerance_uv(uvs: Floats, options: DecimateOptions) -> float:
     return written_tolerance_uv(uvs) if options.seam_tolerance_uv is None else options.seam_tolerance_uv
 
 
+# Arrays of a mesh that no kernel writes to: copies of a state share them.
+SHARED_ARRAYS = {"texture", "points"}
+
+
 @dataclass(frozen=True)
 class Engine:
     """A run in progress. The arrays of `mesh` change in place as `run_to` is called.
@@ -148,8 +152,9 @@ class Engine:
 
     def copy(self) -> Engine:
         """The same state, to go on from twice."""
-        arrays: list[Any] = [array.copy() for array in self.mesh]
-        return replace(self, mesh=Mesh(*arrays))
+        arrays = self.mesh._asdict()
+        changing = {name: array.copy() for name, array in arrays.items() if name not in SHARED_ARRAYS}
+        return replace(self, mesh=self.mesh._replace(**changing))
 
     def predict_floor(self) -> int:
         """Lower bound of the faces that exact collapses leave; only before the first collapse."""
@@ -161,13 +166,12 @@ class Engine:
         self.mesh.settings[rules.SEAM_TOLERANCE] = tolerance_uv
         self._forget_prices()
 
-    def polish(self, rounds: int = POLISH_ROUNDS) -> None:
+    def polish(self) -> None:
         """Turn edges and move vertices to where the surface is nearer to the full mesh; seams stay where they are."""
         if not self.mesh.settings[rules.PEAK] > 0.0:
             return  # nobody to say what is better
-        for _ in range(rounds):
-            self._pose_again()
-            polish(self.mesh, POLISH_SWEEPS, np.zeros(3, np.int64))
+        self._pose_again()
+        polish(self.mesh, POLISH_SWEEPS, np.zeros(3, np.int64))
         self._forget_prices()
 
     def weigh_witnesses(self, weights: Floats) -> None:
