@@ -101,6 +101,11 @@ class Reference:
     samples: Samples
     num_samples: int
 
+    @property
+    def extent_m(self) -> float:
+        """Longest side of the box around what faces use, in bind pose."""
+        return float(np.ptp(self.posed[0][self.surface.faces].reshape(-1, 3), axis=0).max())
+
 
 def make_reference(
     surface: TexturedSurface, poses: NDArray[np.floating] | None = None, num_samples: int | None = None

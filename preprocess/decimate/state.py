@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,6 +149,17 @@ class Engine:
         """Collapse until that many faces are left, the next collapse costs more, or none is legal."""
         run(self.mesh, target_faces, max_cost, np.zeros(0, np.int64))
 
+    def run_within(self, error_m: float) -> None:
+        """Collapse as long as the next costs no more than an average star of faces that deviates by an error.
+
+        A collapse that brings a sample further off than that costs more (`rules.PEAK`).
+        """
+        square = (error_m / self.scale_m) ** 2
+        before = self.num_faces + 1
+        while self.num_faces < before:
+            before = self.num_faces
+            self.run_to(1, float(self.mesh.settings[rules.PEAK]) / before * square)
+
     def copy(self) -> Engine:
         """The same state, to go on from twice."""
         arrays = self.mesh._asdict()
@@ -164,6 +174,7 @@ class Engine:
     def relax(self, tolerance_uv: float) -> None:
         """Let seams stray that far from their lines from now on, and look at every edge again."""
         self.mesh.settings[rules.SEAM_TOLERANCE] = tolerance_uv
+        self.mesh.settings[rules.RELAXED] = 1.0
         self._forget_prices()
 
     def polish(self) -> None:
@@ -209,10 +220,8 @@ class Engine:
         mesh.counter[rules.HEAP_SIZE] = 0
         mesh.counter[rules.PRICED] = 0
 
-    def drop_parts(self, size_m: float, target_faces: int) -> tuple[int, float]:
-        """Remove whole parts, the smallest first, until the target is met; call `relax` after.
-
-        Only parts whose bounding box has a diagonal of at most `size_m` go, and never the largest.
+    def drop_parts(self, size_m: float) -> tuple[int, float]:
+        """Remove whole parts whose bounding box has a diagonal of at most `size_m`, but never the largest.
 
         Returns
         -------
@@ -236,9 +245,6 @@ class Engine:
         sizes = np.zeros(num_parts)
         sizes[parts] = np.linalg.norm(high[parts] - low[parts], axis=1) * self.scale_m
         candidates = parts[(sizes[parts] <= size_m) & (parts != sizes.argmax())]
-        candidates = candidates[np.argsort(sizes[candidates], kind="stable")]
-        faces_after = self.num_faces - np.cumsum(np.bincount(part[faces[:, 0]], minlength=num_parts)[candidates])
-        candidates = candidates[: int(np.searchsorted(-faces_after, -target_faces)) + 1]
         small = np.zeros(num_parts, bool)
         small[candidates] = True
         gone = np.append(small[part], False)[mesh.links[:, TAIL]] & (mesh.links[:, TAIL] >= 0)
@@ -246,6 +252,7 @@ class Engine:
         mesh.links[gone, TAIL] = -1
         mesh.links[gone, TWIN] = -1
         mesh.counter[rules.FACES_LEFT] -= int(gone[: 3 * num_faces].sum()) // 3
+        self._forget_prices()
         return len(candidates), float(sizes[candidates].max(initial=0.0))
 
     @property
@@ -335,7 +342,7 @@ def make_engine(
     metres_per_uv = float(np.sqrt(area2 / uv_total)) if uv_total > 0 and area2 > 0 else 1.0
     extent_uv = float(np.ptp(uv, axis=0).max()) or 1.0
 
-    settings = np.zeros(8)
+    settings = np.zeros(9)
     settings[rules.UV_SCALE] = max(options.uv_weight_rel, 1e-6) * metres_per_uv
     settings[rules.SEAM_TOLERANCE] = ROUNDING_UV * max(extent_uv, 1.0)
     settings[rules.STRICT] = _STRICT[options.strict]
