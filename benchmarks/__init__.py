@@ -1,1 +1,1 @@
-"""Measurements, one file a subject: python -m benchmarks NAME."""
+"""Measurements, one file per subject: python -m benchmarks NAME."""

@@ -52,14 +52,14 @@ class MeshStudio:
         low, high = full.positions.min(axis=0), full.positions.max(axis=0)
         self._middle, self.extent_m = 0.5 * (low + high), float((high - low).max())
 
-    def pictures(self, surface: TexturedSurface, size_px: int, px_a_metre: float | None = None) -> list[Pixels]:
-        """One square picture (S, S, 3) a camera; `px_a_metre` at the mesh's middle, by default to fill it."""
-        if px_a_metre is None:
-            px_a_metre = FILL * size_px / self.extent_m
+    def pictures(self, surface: TexturedSurface, size_px: int, px_per_metre: float | None = None) -> list[Pixels]:
+        """One square picture (S, S, 3) a camera; `px_per_metre` at the mesh's middle, by default to fill it."""
+        if px_per_metre is None:
+            px_per_metre = FILL * size_px / self.extent_m
         canvas = Canvas(self._ctx, (size_px, size_px))
         buffer = self._ctx.buffer(_corner_attributes(surface).tobytes())
         array = self._ctx.vertex_array(self._program, [(buffer, "3f 3f 2f", "in_position", "in_normal", "in_uv")])
-        distance = size_px / px_a_metre / (2.0 * math.tan(math.radians(FOVY_DEG) / 2.0))
+        distance = size_px / px_per_metre / (2.0 * math.tan(math.radians(FOVY_DEG) / 2.0))
         result = []
         for azimuth in AZIMUTHS_DEG:
             turn, rise = math.radians(azimuth), math.radians(ELEVATION_DEG)

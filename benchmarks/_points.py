@@ -70,7 +70,7 @@ class PointCapture:
     def __init__(self, model: Model, defines: Mapping[str, str | int], skinning: str = "linear") -> None:
         ctx = model.ctx
         self._renderer = Renderer(ctx, shader_defines=defines, skinning=skinning)
-        every = {**defines, **SKINNING[skinning], **model.shader_defines, **model.lods[0].uv_defines}
+        every = {**defines, **SKINNING[skinning], **dict(model.lods[0].program_defines)}
         program = capture_program(ctx, every)
         self._renderer._passes.adopt(program, "depth", True, model)
         self._storage = ctx.buffer(reserve=16 + POINT_BYTES * MAX_POINTS)

@@ -66,7 +66,7 @@ def sample_texture(ref: TextureRef, texcoords: Floats) -> Floats:
 
 
 def mikk_tangents(positions: Floats, faces: Ints, normals: Floats, uvs: Floats) -> Floats:
-    """MikkTSpace tangents a corner, (F, 3, 4), of normals (F, 3, 3) and uvs (F, 3, 2) with v down.
+    """MikkTSpace tangents per corner, (F, 3, 4), of normals (F, 3, 3) and uvs (F, 3, 2) with v down.
 
     Corners with equal position, normal and uv form one tangent where their triangles hang together by edges with equal
     ends and are not mirrored against each other: the mean of the triangles' directions of rising u in the plane of the

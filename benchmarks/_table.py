@@ -7,7 +7,7 @@ from typing import Any
 
 
 def print_table(rows: Sequence[dict[str, Any]]) -> None:
-    """Print one line a row under the union of the rows' keys."""
+    """Print one line per row under the union of the rows' keys."""
     if not rows:
         print("(nothing to measure)")
         return

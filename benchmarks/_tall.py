@@ -82,12 +82,12 @@ def actors_in_a_grid(model: Model, camera: Camera, size_px: tuple[int, int]) -> 
     clip = model.asset.clips[min(1, len(model.asset.clips) - 1)]
     columns, rows = GRID
     rotation = camera.matrices(*size_px).rotation
-    metres_a_px = tall_m(model) / TALL_PX
+    metres_per_px = tall_m(model) / TALL_PX
     actors = []
     for number in range(columns * rows):
         column, row = number % columns, number // columns
         aside_px = ((column + 0.5) / columns - 0.5) * size_px[0], ((row + 0.5) / rows - 0.5) * size_px[1]
-        aside_m = (rotation[0] * aside_px[0] + rotation[1] * aside_px[1]) * metres_a_px
+        aside_m = (rotation[0] * aside_px[0] + rotation[1] * aside_px[1]) * metres_per_px
         other = model.actor(clip=clip.name, time_s=clip.duration_s * ((number * 0.618) % 1.0))
         transform = np.eye(4)
         transform[:3, 3] = camera.target + aside_m - other.bounds.mean(axis=0)

@@ -20,13 +20,13 @@ from benchmarks._table import print_table
 from benchmarks.draw import CLASSIC_VERTEX_BYTES
 from preprocess.arrays import Floats
 from preprocess.fit.weight_quadtree import sample_weights
-from preprocess.fit.weight_stack import unpack_weights
 from preprocess.load import Character, load_character
 from preprocess.mesh.texels import sample_bilinear
 from runtime.animation.pose import rest_pose, sample, skinning_rows
 from runtime.asset.asset import Asset, load
-from runtime.gpu.lod_buffers import index_bytes, normal_bytes, vertex_attributes, vertex_bytes
+from runtime.asset.weight_stack import unpack_weights
 from runtime.gpu.textures import prepare
+from runtime.gpu.vertex_layout import index_bytes, uv_attributes, vertex_bytes
 
 CANDIDATES = 8  # nearest source vertices among which a vertex finds its own: parts may touch
 
@@ -92,9 +92,9 @@ def measure_memory(asset: Asset) -> dict[str, Any]:
     """Bytes by part, and the classic chain's."""
     prepared = prepare(asset)
     indices = sum(len(index_bytes(mesh, mesh.triangles)) for mesh in asset.lods)
-    attributes = vertex_attributes(asset.lods)
+    attributes = uv_attributes(asset.lods)
     levels = indices + sum(len(vertex_bytes(mesh, attributes)) for mesh in asset.lods)
-    levels += sum(len(normal_bytes(mesh.normal_uvs)) for mesh in asset.lods if mesh.normal_uvs is not None)
+    levels += sum(2 * mesh.normal_uvs.size for mesh in asset.lods if mesh.normal_uvs is not None)
     ours = prepared.positions.texels.nbytes + prepared.weight_cells.nbytes + levels
     row: dict[str, Any] = {
         "position": prepared.positions.texels.nbytes,
@@ -108,7 +108,7 @@ def measure_memory(asset: Asset) -> dict[str, Any]:
 
 
 def run(argv: list[str]) -> list[dict[str, Any]]:
-    """Measure and print; one row a character."""
+    """Measure and print; one row per character."""
     parser = command_line("accuracy", __doc__)
     parser.add_argument("--built", type=Path, nargs="+", help=BUILT_HELP)
     parser.add_argument("--sources", type=Path, default=ASSETS, help="folder of the files they were built from")

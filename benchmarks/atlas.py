@@ -1,10 +1,10 @@
-"""Atlases side by side: the source's charts kept or packed anew, xatlas' charts, and the base-mesh unwrap.
+"""Atlases side by side: what a build takes, all charts made anew, and xatlas' charts.
 
-Seams of all but the unwrap are straightened at the least tolerance of `auto` with which decimation reaches the floor
-asked for, or at the largest. `reached` is where decimation really stops with all seams intact; `seams` is the seams'
-length in bounding diagonals; `jump` and `error` are of a 512 x 512 position texture: the largest jump across seams
-before and after erasure, and the RMS distance of the surface read back at the middle of the faces, all in 1/1000 of
-the bounding diagonal. CPU seconds of the atlas alone.
+All is measured on uvs as stored, at the size of the largest texture. `kept %`: of the surface, in charts of the
+source. `stretch`: longer against shorter axis, for 99.9 % of the surface. `sparse` and `stretched`: faces of a pixel or
+more, where the character is 1024 pixels large, with under a quarter of the median texels per metre or stretched more
+than 4 : 1. `thin`: faces narrower than a texel. `seams`: their length in bounding diagonals. `reached`: faces at which
+decimation stops with all seams intact. CPU seconds of the atlas alone, textures looked at included.
 """
 
 from __future__ import annotations
@@ -18,29 +18,27 @@ import numpy as np
 
 from benchmarks._inputs import command_line, source_files
 from benchmarks._table import print_table
-from preprocess.atlas import build_atlas, default_floor
-from preprocess.atlas.measure import measure_coverage, measure_stretch, straight_share
-from preprocess.bake.geometry import bake_positions, vertex_values
+from preprocess.atlas import character_atlas
+from preprocess.atlas.chart_scales import NORMAL_SIZE_PX
+from preprocess.atlas.measure import measure_coverage, measure_stretch, measure_texels
 from preprocess.decimate import decimate_to
-from preprocess.erase import LOCAL, EraseOptions, plan_erasure
-from preprocess.errors import InputError
-from preprocess.load import load_character
+from preprocess.load import Character, load_character
 from preprocess.mesh.edges import cut_edges, find_edges, label_faces
 from preprocess.mesh.seams import find_seams
-from preprocess.mesh.split_edges import apply_split
-from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
-from preprocess.mesh.texels import sample_bilinear
+from preprocess.mesh.surface import TexturedSurface
+from preprocess.mesh.texels import snap_canonical_uvs
 from preprocess.mesh.uv_overlap import find_overlap
-from preprocess.straighten import straighten
+from preprocess.settings import Settings
 
-CHARACTERS = ("human.glb", "Fox.glb", "Knight.glb", "robot.glb", "mannequiny.glb")
-TOLERANCES_REL = (0.01, 0.02, 0.03, 0.05)
-WAYS = ("keep", "repack", "xatlas", "unwrap")
-TEXTURE_PX = 512
+CHARACTERS = (
+    *("Fox.glb", "lumberjack.glb", "cat.glb", "phoenix_bird.glb", "robot.glb", "Knight.glb", "mannequiny.glb"),
+    *("human.glb", "BrainStem.glb", "MorphStressTest.gltf", "AnimatedMorphCube/AnimatedMorphCube.gltf"),
+)
+WAYS = ("auto", "unwrap", "xatlas")
 
 
 def run(argv: list[str]) -> list[dict[str, Any]]:
-    """Measure all characters in all ways that they allow."""
+    """Measure all characters in all ways."""
     parser = command_line("atlas", __doc__)
     parser.add_argument("--character", type=Path, action="append", help="measure these instead of the test characters")
     parser.add_argument("--way", choices=WAYS, action="append", help="only these ways")
@@ -48,95 +46,63 @@ def run(argv: list[str]) -> list[dict[str, Any]]:
     paths = source_files(options.character, CHARACTERS, "--character FILE")
     rows = []
     for path in paths:
-        mesh = load_character(path).mesh
+        character = load_character(path)
         for way in options.way or WAYS:
-            rows.append({"character": path.stem, "faces": mesh.num_faces, "way": way, **_measure(mesh, way)})
+            rows.append({"character": path.stem, "faces": character.mesh.num_faces, **_measure(character, way)})
     print_table(rows)
     return rows
 
 
-def _measure(mesh: SkinnedMesh, way: str) -> dict[str, Any]:
-    floor = default_floor(mesh.num_faces)
-    for tolerance in TOLERANCES_REL:
-        started = time.process_time()
-        try:
-            made = _make(mesh, way, tolerance)
-        except InputError as error:
-            return {"why not": str(error).partition(": ")[2] or str(error)}
-        except ModuleNotFoundError as error:
-            return {"why not": f"{error.name} is not installed"}
-        seconds = time.process_time() - started
-        overlap = find_overlap(made.surface.uvs, made.surface.face_uvs)
-        if not overlap.one_to_one:
-            return {"why not": f"{overlap.num_pairs} faces overlap, {overlap.num_flat} are flat"}
-        reached = len(decimate_to(made.surface, 4).lods[-1].faces)
-        if way == "unwrap" or reached <= floor:
-            break
-    edges = find_edges(made.surface.faces)
-    stretch = measure_stretch(made.surface)
+def _measure(character: Character, way: str) -> dict[str, Any]:
+    try:
+        surface, size_px, kept, mode, seconds = _make(character, way)
+    except ModuleNotFoundError as error:
+        return {"way": way, "why not": f"{error.name} is not installed"}
+    stored = dataclasses.replace(surface, uvs=snap_canonical_uvs(surface.uvs))
+    edges = find_edges(surface.faces)
+    overlap = find_overlap(stored.uvs, stored.face_uvs)
+    texels = measure_texels(stored, size_px)
     return {
-        "charts": label_faces(edges, cut_edges(edges, made.surface.face_uvs))[0],
-        "tolerance": "" if way == "unwrap" else tolerance,
-        "goal": floor,
-        "reached": reached,
-        "L2": stretch[0],
-        "Linf": stretch[1],
-        "coverage %": 100 * measure_coverage(made.surface),
-        "seams": find_seams(made.surface).lengths_m.sum() / made.surface.diagonal_m,
-        "straight %": 100 * straight_share(made.surface),
-        **_measure_positions(made),
+        "way": mode,
+        "kept %": 100.0 * kept,
+        "charts": label_faces(edges, cut_edges(edges, surface.face_uvs))[0],
+        "overlap": overlap.num_pairs + overlap.num_flat,
+        "L2": measure_stretch(stored)[0],
+        "stretch": texels["stretch"][-1],
+        "sparse": texels["sparse_faces"],
+        "stretched": texels["stretched_faces"],
+        "thin": texels["thin_faces"],
+        "side": size_px,
+        "coverage %": 100.0 * measure_coverage(stored),
+        "seams": find_seams(surface).lengths_m.sum() / surface.diagonal_m,
+        "reached": len(decimate_to(surface, 4).lods[-1].faces),
         "cpu s": seconds,
     }
 
 
-def _make(mesh: SkinnedMesh, way: str, tolerance: float) -> SkinnedMesh:
-    if way != "xatlas":
-        return build_atlas(mesh, mode=way, straighten_rel=tolerance, size_px=TEXTURE_PX).mesh
-    mesh = _unwrap_with_xatlas(mesh)
-    result = straighten(mesh.surface, tolerance)
-    return apply_split(mesh, result.split).with_surface(result.surface)
+def _make(character: Character, way: str) -> tuple[TexturedSurface, int, float, str, float]:
+    """The surface in its atlas, the largest texture's side, the share kept, what was done, and CPU seconds."""
+    start = time.process_time()
+    if way == "xatlas":
+        surface = _unwrap_with_xatlas(character.mesh.surface)
+        return surface, NORMAL_SIZE_PX, 0.0, "xatlas", time.process_time() - start
+    atlas = character_atlas(character, dataclasses.replace(Settings(), atlas=way))  # type: ignore[arg-type]
+    mode = atlas.mode if way == "auto" else "all anew"
+    return atlas.mesh.surface, atlas.texels["size_px"], atlas.kept_share, mode, time.process_time() - start
 
 
-def _unwrap_with_xatlas(mesh: SkinnedMesh) -> SkinnedMesh:
-    """Default charts of xatlas, packed at the same size with the same gutter."""
+def _unwrap_with_xatlas(surface: TexturedSurface) -> TexturedSurface:
+    """Default charts of xatlas, packed with the same gutter, its rectangle fitted into the square."""
     import xatlas
 
     atlas = xatlas.Atlas()
-    atlas.add_mesh(mesh.surface.positions.astype(np.float32), mesh.surface.faces.astype(np.uint32))
+    # It takes faces of less than a ten-millionth for flat, in whatever unit: a thousand units a character are enough.
+    scale = 1000.0 / np.ptp(surface.positions, axis=0).max()
+    atlas.add_mesh((scale * surface.positions).astype(np.float32), surface.faces.astype(np.uint32))
     packing = xatlas.PackOptions()
-    packing.resolution, packing.padding, packing.bilinear = TEXTURE_PX, 4, True
+    packing.resolution, packing.padding, packing.bilinear = 1024, 8, True
     atlas.generate(pack_options=packing)
     vertices, face_uvs, uvs = atlas[0]
-    assert (vertices[face_uvs] == mesh.surface.faces).all()
-    charts = TexturedSurface(
-        mesh.surface.positions, mesh.surface.faces, uvs.astype(np.float64), face_uvs.astype(np.int32)
-    )
-    return mesh.with_surface(charts)
-
-
-def _measure_positions(mesh: SkinnedMesh) -> dict[str, Any]:
-    """What a position texture in this atlas loses."""
-    surface = mesh.surface
-    scale = 1e3 / surface.diagonal_m
-    unit = dataclasses.replace(surface, positions=surface.positions * scale)
-    texels = bake_positions(mesh.with_surface(unit), (TEXTURE_PX, TEXTURE_PX))
-    options = EraseOptions(weights=dataclasses.replace(LOCAL, samples=1e8), seam_weight=1e8)
-    plan = plan_erasure(unit, find_seams(unit), TEXTURE_PX, TEXTURE_PX, options, sample_uvs=unit.uvs)
-    before = plan.measure(texels)
-    erased = plan.erase(texels, sample_values=vertex_values(mesh, unit.positions)).texels
-    after = plan.measure(erased)
-    middle = surface.uvs[surface.face_uvs].mean(axis=1)
-    truth = unit.positions[unit.faces].mean(axis=1)
-    area = np.linalg.norm(
-        np.cross(
-            surface.positions[surface.faces[:, 1]] - surface.positions[surface.faces[:, 0]],
-            surface.positions[surface.faces[:, 2]] - surface.positions[surface.faces[:, 0]],
-        ),
-        axis=1,
-    )
-    error_sq = ((sample_bilinear(erased, middle) - truth) ** 2).sum(axis=1)
-    return {
-        "jump before": float(before.max.max(initial=0.0)),
-        "jump after": float(after.max.max(initial=0.0)),
-        "error": float(np.sqrt((error_sq * area).sum() / area.sum())),
-    }
+    assert (vertices[face_uvs] == surface.faces).all()
+    uvs = uvs.astype(np.float64) * (atlas.width, atlas.height) / max(atlas.width, atlas.height)
+    return TexturedSurface(surface.positions, surface.faces, uvs, face_uvs.astype(np.int32))

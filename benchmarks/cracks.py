@@ -86,7 +86,7 @@ def moved_seams(mesh: LodMesh, shift_uv: float) -> LodMesh:
     return dataclasses.replace(mesh, canonical_uvs=canonical)
 
 
-def metres_a_uv(asset: Asset) -> float:
+def metres_per_uv(asset: Asset) -> float:
     """How far a step in the atlas leads over the body, the median of the finest level's edges."""
     from preprocess.mesh.texels import sample_bilinear
 
@@ -203,7 +203,7 @@ def measure(ctx: moderngl.Context, folder: Path, count: int, size: tuple[int, in
     closed = [closed_parts(mesh) for mesh in asset.lods]
     asset = dataclasses.replace(asset, lods=tuple(mesh for mesh in closed if len(mesh.triangles)))
     low, high = asset.manifest.bind_bounds
-    shift_uv = SHIFT_REL * float(np.linalg.norm(high - low)) / metres_a_uv(asset)
+    shift_uv = SHIFT_REL * float(np.linalg.norm(high - low)) / metres_per_uv(asset)
     shifted = dataclasses.replace(asset, lods=tuple(moved_seams(mesh, shift_uv) for mesh in asset.lods))
     single, first = (
         dataclasses.replace(asset, lods=tuple(welded(mesh, at_canonical=at_canonical) for mesh in asset.lods))

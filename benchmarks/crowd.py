@@ -4,7 +4,7 @@ All of them run in one context in one run, with the same culling, the same baked
 differs is the meshes and textures: (a) the source file's own mesh, (b) levels that meshoptimizer makes from it, ours
 the built character's. (a) and (b) are skinned by vertex attributes; (b) is also given the ready-made poses that coarse
 levels of ours have, and is chosen by the error that it reports or by its largest error in any pose, measured as ours
-is. Pictures have eight samples a pixel; their error is measured against full detail with nine pixels for one and a
+is. Pictures have eight samples per pixel; their error is measured against full detail with nine pixels for one and a
 padded texture, so that neither edges nor bleeding mip levels are in the reference.
 
 CPU time counts all threads of the process: in software OpenGL it is the work, whatever else the machine does.
@@ -31,10 +31,10 @@ from benchmarks._table import print_table
 from demos.crowd import square
 from demos.headless import Canvas, create_context, write_png
 from demos.options import picture_size
-from runtime.crowd.crowd import PLACES_BYTES
+from runtime.crowd.crowd import VERTEX_ANIMATION_BYTES
 from runtime.crowd.lod_buffers import LevelMesh
 from runtime.gltf.document import Document, read_document
-from runtime.gpu.lod_buffers import DrawGroup
+from runtime.gpu.lod_buffers import MaterialRange
 
 SOURCE, BUILT = ASSETS / "human.glb", BUILT_FOLDERS[0] / "human.seamless"
 COARSEST_FACES = 48
@@ -137,10 +137,10 @@ class AttributeCrowd(runtime.Crowd):
         mesh: SourceMesh,
         levels: Chain,
         base_color: moderngl.Texture,
-        places_bytes: int,
+        vertex_animation_bytes: int,
     ) -> None:
         self._mesh, self._chain, self._base_color = mesh, levels, base_color
-        super().__init__(ctx, model, count, places_bytes=places_bytes)
+        super().__init__(ctx, model, count, vertex_animation_bytes=vertex_animation_bytes)
 
     @property
     def textures(self) -> Mapping[str, moderngl.Texture]:
@@ -148,15 +148,15 @@ class AttributeCrowd(runtime.Crowd):
         return {**self.model.textures, "base_color_texture": self._base_color}
 
     def _meshes(self) -> list[LevelMesh]:
-        material = self.model.lods[0].groups[0].material
+        own = self.model.lods[0].ranges[0]
         result = []
         for triangles, error_m in self._chain:
             used, corners = np.unique(triangles, return_inverse=True)
             indices = self.ctx.buffer(corners.astype("<u4").tobytes())
             self._owned.append(indices)
-            mesh, groups = self._mesh, (DrawGroup(0, len(triangles), material),)
+            mesh, ranges = self._mesh, (MaterialRange(0, len(triangles), own.material, own.defines),)
             attributes = (mesh.positions[used], mesh.uvs[used], mesh.joints[used].astype(np.int64), mesh.weights[used])
-            result.append(LevelMesh(*attributes, indices, 4, groups, error_m))
+            result.append(LevelMesh(*attributes, indices, 4, ranges, error_m))
         return result
 
     def _seam_lines(self, level: int) -> moderngl.Buffer | None:
@@ -226,7 +226,7 @@ def cpu_share(crowd: runtime.Crowd, camera: runtime.Camera, size: tuple[int, int
     for _ in range(15):
         start = time.process_time()
         crowd.update(0.0)  # the poses stay those of the pictures
-        selection = crowd.stage.select(matrices, size[1], crowd.errors_m, 1.0)
+        selection = crowd.state.select(matrices, size, crowd.errors_m, 1.0)
         crowd._passes.write(selection.records)
         spent.append(time.process_time() - start)
     return 1e3 * min(spent)
@@ -295,21 +295,21 @@ class _Bench:
         color.release()
         return np.rint(fine.mean(axis=(1, 3))).astype(np.uint8)
 
-    def attributes(self, chain: Chain, color: moderngl.Texture, places_bytes: int = 0) -> AttributeCrowd:
+    def attributes(self, chain: Chain, color: moderngl.Texture, animation_bytes: int = 0) -> AttributeCrowd:
         """A crowd of the source's own vertices."""
-        crowd = AttributeCrowd(self.ctx, self.model, self.options.count, self.mesh, chain, color, places_bytes)
+        crowd = AttributeCrowd(self.ctx, self.model, self.options.count, self.mesh, chain, color, animation_bytes)
         arrange(crowd, self.height_m)
         return crowd
 
     def draw(self, crowd: runtime.Crowd, canvas: Canvas, threshold_px: float) -> None:
         """One picture, its levels chosen without memory of the last one."""
-        crowd.stage.forget_levels()
+        crowd.state.forget_levels()
         self.renderer.quality = runtime.Quality(threshold_px=threshold_px)
         with canvas.drawing(BACKGROUND):
             self.renderer.draw([crowd], self.camera, view="base_color")
 
     def picture(self, crowd: runtime.Crowd, threshold_px: float) -> NDArray[np.uint8]:
-        """What is compared with the reference: eight samples a pixel."""
+        """What is compared with the reference: eight samples per pixel."""
         self.draw(crowd, self.smooth, threshold_px)
         return self.smooth.pixels()
 
@@ -318,7 +318,7 @@ class _Bench:
         picture = self.picture(crowd, threshold_px)
         wall, work = timed(self.ctx, lambda: self.draw(crowd, self.sharp, threshold_px), frames)
         flip, rms = picture_error(picture, self.reference)
-        faces = [sum(group.count for group in level.groups) for level in crowd._levels]
+        faces = [sum(group.count for group in level.ranges) for level in crowd._levels]
         row = {
             "what": name,
             "threshold px": threshold_px,
@@ -371,13 +371,13 @@ def _measure(ctx: moderngl.Context, options: argparse.Namespace) -> list[dict[st
         chains = {}
     if chains:
         measured = largest_errors(bench.mesh, chains[False], runtime_matrices(bench))
-        for name, chain, places_bytes in (
+        for name, chain, animation_bytes in (
             ("(b) meshoptimizer levels", chains[False], 0),
-            ("(b) the same, poses ready-made", chains[False], PLACES_BYTES),
-            ("(b) and uvs weighted", chains[True], PLACES_BYTES),
-            ("(b) by largest error, poses ready-made", measured, PLACES_BYTES),
+            ("(b) the same, poses ready-made", chains[False], VERTEX_ANIMATION_BYTES),
+            ("(b) and uvs weighted", chains[True], VERTEX_ANIMATION_BYTES),
+            ("(b) by largest error, poses ready-made", measured, VERTEX_ANIMATION_BYTES),
         ):
-            crowd = bench.attributes(chain, color, places_bytes)
+            crowd = bench.attributes(chain, color, animation_bytes)
             rivals.append(bench.measure(name, crowd))
             crowd.release()
     ours = runtime.Crowd(ctx, bench.model, options.count)

@@ -242,7 +242,7 @@ def _prepare(path: Path) -> tuple[TexturedSurface, MeshStudio | None]:
 
 
 def _hills(cells: int) -> TexturedSurface:
-    """A square of hills in one chart, two faces a cell."""
+    """A square of hills in one chart, two faces per cell."""
     side = np.linspace(0.0, 1.0, cells + 1)
     x, y = (values.ravel() for values in np.meshgrid(side, side))
     height = 0.05 * np.sin(9.0 * x) * np.cos(7.0 * y) + 0.01 * np.sin(40.0 * x + 25.0 * y)

@@ -9,7 +9,7 @@ with software OpenGL it is the work itself, whatever else the machine does.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,16 +27,16 @@ from runtime.animation.pose import sample, skinning_rows
 from runtime.asset.asset import Asset, load
 from runtime.errors import RenderError
 from runtime.gpu.gl_state import saved_state
-from runtime.gpu.lod_buffers import INSTANCE, instance_layout
 from runtime.gpu.model import Model
 from runtime.gpu.programs import build_program, set_uniforms
 from runtime.gpu.textures import TEXTURE_UNITS
-from runtime.render.passes import set_material, what_it_lacks
+from runtime.gpu.vertex_layout import ACTOR_ATTRIBUTES, ACTOR_INSTANCE, Attribute, bind_buffer
+from runtime.render.passes import set_material
 from runtime.render.renderer import Renderer
 from runtime.scene.camera import Camera, framing
 
 JOINT_BLOCK_ROWS = 1020  # vec4 in the smallest uniform block that OpenGL promises, three a joint
-DRAWS_A_ROUND = 6  # before one waits for the end
+DRAWS_PER_ROUND = 6  # before one waits for the end
 # Bytes a vertex of the classic chain. As glTF has them: position 12, normal 12, tangent 16, uv 8, joints 4, weights 16;
 # packed: position 12, normal 4, tangent 4, uv 8, joints 4, weights 4.
 CLASSIC_VERTEX_BYTES = {"as glTF": 68, "packed": 36}
@@ -58,7 +58,7 @@ class Bench:
         self.actor = self.model.actor(clip=clip.name, time_s=clip.duration_s / 3)
         self.textures: dict[str, moderngl.Texture] = {}
         self.arrays: dict[str, tuple[moderngl.VertexArray, moderngl.Program]] = {}
-        self.instances = ctx.buffer(reserve=INSTANCE.itemsize)
+        self.instances = ctx.buffer(reserve=ACTOR_INSTANCE.itemsize)
         block = np.zeros((JOINT_BLOCK_ROWS, 4), np.float32)
         block[: 3 * len(self.rows)] = self.rows.reshape(-1, 4)
         self.joint_block = ctx.buffer(block.tobytes())
@@ -67,26 +67,29 @@ class Bench:
         """Let the renderer fill frame and poses once, and copy the instance."""
         self.renderer.draw([self.actor], camera, lod=0, tessellation="off")
         matrices = camera.matrices(*size)
-        record = np.zeros(1, INSTANCE)
+        record = np.zeros(1, ACTOR_INSTANCE)
         record["rows"] = np.eye(4)[:3]
         record["rows"][:, :, 3] = -matrices.eye
         record["tint"] = 1.0
         self.instances.write(record.tobytes())
 
-    def add(self, name: str, vertex: str, buffer: moderngl.Buffer, form: str, attributes: tuple[str, ...],
+    def add(self, name: str, vertex: str, buffer: moderngl.Buffer, attributes: Sequence[Attribute],
             defines: Mapping[str, str | int]) -> None:  # fmt: skip
         """A candidate: a vertex shader and its vertices."""
         lod = self.model.lods[0]
-        material = lod.groups[0].material
-        lacks = dict.fromkeys(what_it_lacks(self.model, material), 1)
+        part = lod.ranges[0]
+        lacks = dict.fromkeys(part.defines, 1)
         program = build_program(
             self.ctx, (vertex, "lit.frag"), {"JOINT_BLOCK_ROWS": JOINT_BLOCK_ROWS, **lacks, **defines}
         )
         set_uniforms(program, {**TEXTURE_UNITS, **EXTRA_UNITS, **self.model.constants})
         if vertex == "layouts.vert":
             set_uniforms(program, {"weight_size": (LAYOUT_PX, LAYOUT_PX)})
-        set_material(program, material, False)
-        content = [(buffer, form, *attributes), instance_layout(program, self.instances)]
+        set_material(program, part.material, False)
+        content = [
+            bind_buffer(program, buffer, attributes),
+            bind_buffer(program, self.instances, ACTOR_ATTRIBUTES, per_instance=True),
+        ]
         array = self.ctx.vertex_array(program, content, lod.indices, index_element_size=lod.index_size)
         self.arrays[name] = array, program
 
@@ -104,8 +107,8 @@ class Bench:
 def attribute_vertices(asset: Asset) -> NDArray[Any]:
     """The finest level's vertices as attributes, sampled from the same textures: position, uv, four joints, weights."""
     from preprocess.fit.weight_quadtree import sample_weights
-    from preprocess.fit.weight_stack import unpack_weights
     from preprocess.mesh.texels import sample_bilinear
+    from runtime.asset.weight_stack import unpack_weights
 
     mesh = asset.lods[0]
     positions = sample_bilinear(asset.textures["position"].levels[0][:, :, :3], mesh.canonical_uvs)
@@ -123,7 +126,7 @@ def attribute_vertices(asset: Asset) -> NDArray[Any]:
 def even_weights(asset: Asset) -> NDArray[np.uint8]:
     """All weights on an even map without details, (H, W, J) uint8, J a multiple of four: for simpler layouts."""
     from preprocess.fit.weight_quadtree import sample_weights
-    from preprocess.fit.weight_stack import unpack_weights
+    from runtime.asset.weight_stack import unpack_weights
 
     stored = unpack_weights(asset.textures["weights"].levels[0], asset.weight_size, asset.num_joints)
     middles = (np.arange(LAYOUT_PX) + 0.5) / LAYOUT_PX
@@ -161,21 +164,17 @@ def add_layouts(bench: Bench) -> dict[str, int]:
         "dense_weights": plain_texture(ctx, dense_stack, "f1"),
     }
     vertices = ctx.buffer(attribute_vertices(asset).tobytes())
-    names = ("in_position", "in_uv", "in_joints", "in_weights")
-    bench.add("vertex attributes", "attributes.vert", vertices, "3f4 2f4 4u1 4f1", names, {})
+    forms = {"in_position": "3f4", "in_uv": "2f4", "in_joints": "4u1", "in_weights": "4f1"}
+    bench.add("vertex attributes", "attributes.vert", vertices, [Attribute(*one) for one in forms.items()], {})
     finest = bench.model.lods[0]
-    own, defines = finest.vertices, {**finest.uv_defines, **bench.model.shader_defines}
-    form, both = " ".join(form for form, _ in finest.attributes), tuple(name for _, name in finest.attributes)
-    bench.add("textures: records a cell", "static.vert", own, form, both, defines)
-    bench.add(
-        "textures: lists a texel", "layouts.vert", own, form, both, {**defines, "LAYOUT_LISTS": 1, "LISTS": lists}
-    )
-    bench.add(
-        "textures: dense layers", "layouts.vert", own, form, both, {**defines, "LAYOUT_DENSE": 1, "LAYERS": layers}
-    )
+    own, both, defines = finest.vertices, finest.attributes, dict(finest.program_defines)
+    defines.pop("NORMAL_UV", None)
+    bench.add("textures: records per cell", "static.vert", own, both, defines)
+    bench.add("textures: lists a texel", "layouts.vert", own, both, {**defines, "LAYOUT_LISTS": 1, "LISTS": lists})
+    bench.add("textures: dense layers", "layouts.vert", own, both, {**defines, "LAYOUT_DENSE": 1, "LAYERS": layers})
     return {
         "vertex attributes": 8 * len(bench.mesh.uvs),
-        "textures: records a cell": bench.model.weight_cells.nbytes,
+        "textures: records per cell": bench.model.weight_cells.nbytes,
         "textures: lists a texel": stacked[0].astype(np.uint8).nbytes + stacked[1].astype(np.uint8).nbytes,
         "textures: dense layers": dense_stack.nbytes,
     }
@@ -192,7 +191,7 @@ def take_turns(candidates: Mapping[str, Callable[[], None]], rounds: int) -> dic
             if turn:  # the first warms up
                 wall[name].append(time.perf_counter() - start)
                 cpu[name].append(time.process_time() - start_cpu)
-    scale = 1e3 / DRAWS_A_ROUND
+    scale = 1e3 / DRAWS_PER_ROUND
     return {name: (float(np.median(wall[name])) * scale, float(np.median(cpu[name])) * scale) for name in candidates}
 
 
@@ -207,7 +206,7 @@ def measure_layouts(bench: Bench, canvas: Canvas, rounds: int) -> list[dict[str,
 
     def draw(array: moderngl.VertexArray) -> Callable[[], None]:
         def work() -> None:
-            for _ in range(DRAWS_A_ROUND):
+            for _ in range(DRAWS_PER_ROUND):
                 canvas.framebuffer.clear(depth=1.0)
                 array.render(instances=1)
             bench.ctx.finish()
@@ -232,7 +231,7 @@ def measure_layouts(bench: Bench, canvas: Canvas, rounds: int) -> list[dict[str,
             "Mvertices/s": len(bench.mesh.uvs) / seconds[name] / 1e6,
             "weight bytes": weight_bytes[name],
             "pixels unlike the records'": int(
-                (pictures[name] != pictures["textures: records a cell"]).any(axis=-1).sum()
+                (pictures[name] != pictures["textures: records per cell"]).any(axis=-1).sum()
             ),
         }
         for name in times
@@ -269,7 +268,7 @@ def run(argv: list[str]) -> list[dict[str, Any]]:
         turns = partial(take_turns, rounds=options.rounds)
         with saved_state(range(16), (0, 1), True):
             tables = [measure_layouts(bench, canvas, options.rounds)]
-        tables += [measure_tall(bench.model, bench.actor, turns, DRAWS_A_ROUND), measure_bytes(bench.model)]
+        tables += [measure_tall(bench.model, bench.actor, turns, DRAWS_PER_ROUND), measure_bytes(bench.model)]
         for table in tables:
             print_table(table)
             print()

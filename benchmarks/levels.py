@@ -15,6 +15,7 @@ import numpy as np
 from benchmarks._inputs import command_line, source_files
 from benchmarks._table import print_table
 from preprocess.arrays import Floats, Ints
+from preprocess.atlas import character_atlas
 from preprocess.bake.geometry import bake_surface_positions
 from preprocess.decimate import DecimateOptions, decimate
 from preprocess.decimate.measure import Reference, make_reference, sample_mesh
@@ -22,12 +23,12 @@ from preprocess.load import load_character
 from preprocess.load.pose_sampling import sample_poses
 from preprocess.mesh.closest_point import build_tree
 from preprocess.mesh.surface import TexturedSurface
-from preprocess.pipeline import SURFACE_PX, _build_atlas, draw_groups
+from preprocess.pipeline import SURFACE_PX, draw_groups
 from preprocess.settings import Settings
 
 MODELS = ("human.glb", "mannequiny.glb", "Knight.glb", "Fox.glb")
 ERRORS_REL = (0.001, 0.002, 0.004, 0.008, 0.016, 0.032)
-STEPS_AN_OCTAVE, COARSEST_FACES = 3, 60
+STEPS_PER_OCTAVE, COARSEST_FACES = 3, 60
 
 Ladder = list[tuple[int, float]]  # faces and largest error, metres, of each level
 
@@ -50,7 +51,7 @@ def _meshoptimizer(surface: TexturedSurface, reference: Reference) -> Ladder | N
         )
         faces = result[:count].reshape(-1, 3).astype(np.int32)
         levels.append((len(faces), _largest_m(reference, surface.positions, faces)))
-        wanted /= 2 ** (1 / STEPS_AN_OCTAVE)
+        wanted /= 2 ** (1 / STEPS_PER_OCTAVE)
     return levels
 
 
@@ -72,7 +73,7 @@ def _fewest(ladder: Ladder | None, error_m: float, num_faces: int) -> int | None
 def _measure(model: Path) -> list[dict[str, Any]]:
     """One row an error."""
     character, settings = load_character(model), Settings()
-    mesh, poses = _build_atlas(character, settings).mesh, sample_poses(character)
+    mesh, poses = character_atlas(character, settings).mesh, sample_poses(character)
     surface = mesh.surface
     blended = np.einsum("vj,pjik->pvik", mesh.dense_weights(poses.shape[1]), poses[:, :, :3])
     position, groups = (
@@ -80,7 +81,7 @@ def _measure(model: Path) -> list[dict[str, Any]]:
         draw_groups(character, mesh.face_materials),
     )
     octaves = np.log2(len(surface.faces) / COARSEST_FACES)
-    ratios = tuple(2.0 ** (-np.arange(int(octaves * STEPS_AN_OCTAVE) + 1) / STEPS_AN_OCTAVE))
+    ratios = tuple(2.0 ** (-np.arange(int(octaves * STEPS_PER_OCTAVE) + 1) / STEPS_PER_OCTAVE))
 
     def ours(peak_weight: float | None) -> Ladder:
         options = DecimateOptions(ratios=ratios, peak_weight=peak_weight)

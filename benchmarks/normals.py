@@ -29,11 +29,11 @@ from benchmarks._source_normals import SourceNormals, cofactors, unit
 from benchmarks._table import print_table
 from preprocess.arrays import Floats
 from preprocess.fit.weight_quadtree import sample_weights
-from preprocess.fit.weight_stack import unpack_weights
 from preprocess.load import Character, load_character
 from preprocess.mesh.texels import sample_bilinear
 from runtime.animation.pose import sample, skinning_rows
 from runtime.asset.asset import Asset, load
+from runtime.asset.weight_stack import unpack_weights
 
 EDGE_PX = 1.5
 
@@ -166,7 +166,7 @@ def measure(asset: Asset, character: Character, num_points: int, moments: int) -
 
 
 def run(argv: list[str]) -> list[dict[str, Any]]:
-    """Measure and print; one row a character."""
+    """Measure and print; one row per character."""
     parser = command_line("normals", __doc__)
     parser.add_argument("--built", type=Path, nargs="+", help=BUILT_HELP)
     parser.add_argument("--sources", type=Path, default=ASSETS, help="folder of the files they were built from")

@@ -18,23 +18,23 @@ import numpy as np
 from benchmarks._inputs import command_line, source_files
 from benchmarks._table import print_table
 from preprocess.arrays import Floats
+from preprocess.atlas import character_atlas
 from preprocess.erase import EraseOptions, erase_mips
 from preprocess.fit.textures import JUMP_LIMIT, SEAM_WEIGHT, TextureStage
 from preprocess.load import load_character
 from preprocess.load.pose_sampling import sample_poses
 from preprocess.mesh.texels import sample_bilinear
-from preprocess.pipeline import _build_atlas
 from preprocess.settings import Settings
 
 MODELS = ("Fox.glb", "human.glb")
-POINTS_A_TEXEL = 4
+POINTS_PER_TEXEL = 4
 STORED = "uint8"
 
 
 def seam_points(lines_uv: Floats, size_px: int) -> Floats:
     """Both places of points along seams, (2, N, 2), evenly spaced; from the seams' ends (S, 2, 2, 2)."""
     length_px = np.linalg.norm(lines_uv[:, :, 1] - lines_uv[:, :, 0], axis=2).max(axis=1) * size_px
-    counts = np.ceil(length_px * POINTS_A_TEXEL).astype(np.int64) + 1
+    counts = np.ceil(length_px * POINTS_PER_TEXEL).astype(np.int64) + 1
     seam = np.repeat(np.arange(len(lines_uv)), counts)
     share = (np.arange(len(seam)) - np.repeat(np.cumsum(counts) - counts, counts) + 0.5) / counts[seam]
     ends = lines_uv[seam].swapaxes(0, 1)
@@ -45,7 +45,7 @@ def measure(model: Path, size_px: int | None) -> list[dict[str, Any]]:
     """A row for every way to close the seams."""
     character = load_character(model)
     settings = Settings(color_size_px=size_px)
-    stage = TextureStage(character, _build_atlas(character, settings), sample_poses(character), settings)
+    stage = TextureStage(character, character_atlas(character, settings), sample_poses(character), settings)
     job = next(job for job in stage._materials() if job.name == "base_color")
     surface, seams = job.erased_on or (stage.mesh.surface, stage.seams)
     joined = None if job.erased_on else job.decision.joined

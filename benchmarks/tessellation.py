@@ -70,7 +70,7 @@ def divided(asset: Asset, mesh: LodMesh, segments: int) -> tuple[NDArray[np.floa
 
 
 def measure_levels(asset: Asset) -> list[dict[str, Any]]:
-    """A row a level."""
+    """A row per level."""
     low, high = asset.manifest.bind_bounds
     unit = float(np.linalg.norm(high - low)) / 1000
     full, full_faces = drawn(asset, asset.lods[0])

@@ -15,18 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from demos.errors import DemoError
-from preprocess.atlas import Atlas, build_atlas
+from preprocess.atlas import character_atlas
 from preprocess.bake.color_borders import find_color_borders
 from preprocess.bake.geometry import bake_positions, bake_weights
 from preprocess.bake.hard_edges import bake_surface, find_normal_uvs
 from preprocess.bake.materials import bake_materials, bake_normals, normal_tangents
 from preprocess.errors import InputError
-from preprocess.fit.weight_stack import pack_weights
-from preprocess.load import Character, load_character
+from preprocess.load import load_character
 from preprocess.mesh.raster import cover_atlas
-from preprocess.pipeline import GUTTER_PX, GUTTER_SIZE_PX
-from preprocess.settings import Settings, floor_faces
+from preprocess.settings import Settings
 from runtime.asset.asset import Asset, TextureData
+from runtime.asset.weight_stack import pack_weights
 
 
 def find_source(asset: Asset) -> Path | None:
@@ -43,18 +42,6 @@ def _box_mips(texels: NDArray[np.float64], steps: int, dtype: type[np.unsignedin
         fine = levels[-1]
         levels.append(0.25 * (fine[::2, ::2] + fine[1::2, ::2] + fine[::2, 1::2] + fine[1::2, 1::2]))
     return TextureData("", tuple(np.rint(np.clip(level, 0.0, 1.0) * steps).astype(dtype) for level in levels))
-
-
-def _default_atlas(character: Character) -> Atlas:
-    settings = Settings()
-    return build_atlas(
-        character.mesh,
-        mode=settings.atlas,
-        floor=floor_faces(character.mesh.num_faces, settings.floor_rel),
-        size_px=GUTTER_SIZE_PX,
-        gutter_px=GUTTER_PX,
-        straighten_rel=settings.straighten_rel,
-    )
 
 
 def without_erasure(asset: Asset, source: Path) -> Asset:
@@ -78,7 +65,7 @@ def without_erasure(asset: Asset, source: Path) -> Asset:
         character = load_character(source)
     except InputError as error:
         raise DemoError(str(error)) from None
-    atlas = _default_atlas(character)
+    atlas = character_atlas(character, Settings())
     mesh = atlas.mesh
     if len(asset.lods[0].triangles) != mesh.num_faces:
         raise DemoError(f"{asset.path} was built with other settings than the default ones: build it again")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from types import TracebackType
 
-OURS = ("runtime", "preprocess", "demos", "benchmarks", "shaders")
+OURS = ("runtime", "preprocess", "demos", "benchmarks", "seamskin")
 EXTRA = "demos"  # what to install; it holds everything that demos use
 
 

@@ -35,6 +35,7 @@ from runtime.render.views import VIEWS
 from runtime.scene.actor import Actor
 from runtime.scene.camera import Camera, framing
 
+LOOK_AGAIN_S = 1.0  # whether the folder was built anew
 BUILT_IN = Path("out/demo/creature.seamless")
 
 
@@ -108,6 +109,14 @@ def draw_picture(options: Options) -> None:
         ctx.release()
 
 
+def _made_ns(folder: Path) -> int:
+    """When a character was built, as its manifest's time; 0 where it is not there."""
+    try:
+        return (folder / "manifest.json").stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
 class Viewer:
     """The window's contents and what its keys do.
 
@@ -131,10 +140,12 @@ class Viewer:
         self.wants_picture = False
         self.panel: Any = None
         self.view, self.lod, self.tessellation = options.view, options.lod, options.tessellation
+        self._looked_s = 0.0
         self._open(options, load(find_folder(options)))
 
     def _open(self, options: Options, asset: Asset) -> None:
         """Show a character in place of the one that was there."""
+        self._made_ns = _made_ns(asset.path)
         self.model = Model(self.window.ctx, asset)
         self.options = options
         self.actor = make_actor(self.model, options)
@@ -142,6 +153,29 @@ class Viewer:
         if options.clip is None and self.model.asset.clips:
             self.play(0)
         self.orbit = Orbit(choose_camera(self.model, options))
+
+    def look_for_changes(self, dt_s: float) -> None:
+        """Show the folder again, in the same clip from the same place, where it was built anew meanwhile."""
+        self._looked_s += dt_s
+        if self._looked_s < LOOK_AGAIN_S:
+            return
+        self._looked_s = 0.0
+        made_ns = _made_ns(self.model.asset.path)
+        if made_ns in (0, self._made_ns):
+            return
+        try:
+            asset = load(self.model.asset.path)
+        except AssetError:  # half of it is there: look again
+            return
+        before, clip, time_s, orbit = self.model, self.actor.clip, self.actor.time_s, self.orbit
+        self._open(dataclasses.replace(self.options, clip=None), asset)
+        if clip in asset.clip_names:
+            self.play(asset.clip_names.index(clip))
+            self.actor.time_s = time_s
+        self.orbit = orbit
+        if isinstance(self.lod, int) and self.lod >= len(self.model.lods):
+            self.lod = "auto"
+        before.release()
 
     def drop(self, paths: list[str]) -> None:
         """Open the first file or folder that was dropped; what cannot be opened is told on stderr."""
@@ -199,6 +233,7 @@ class Viewer:
 
     def frame(self, dt_s: float) -> None:
         """Draw one picture into the window."""
+        self.look_for_changes(dt_s)
         if not self.paused:
             self.actor.update(dt_s)
         framebuffer = self.window.framebuffer

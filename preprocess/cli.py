@@ -74,8 +74,8 @@ def main(arguments: Sequence[str]) -> int:
         return 0
     except InputError as error:
         return _refuse(str(error))
-    except KeyboardInterrupt:
-        print("preprocess: interrupted; nothing was written", file=sys.stderr)
+    except KeyboardInterrupt as interrupt:  # a command that has written something says what
+        print(f"preprocess: interrupted; {interrupt or 'nothing was written'}", file=sys.stderr)
         return 130
     except Exception as error:
         surroundings = _name_surroundings(error)

@@ -1,34 +1,44 @@
-"""The stages in order: load, atlas, textures (bake, erase, store), levels of detail, write."""
+"""The stages in order: load, atlas, textures (bake, erase, store), levels of detail, write, verify.
+
+What was written is read again by the runtime's own loader and measured beside the source (preprocess/verify). Where it
+is beyond the goals another way is tried; the best of all tries is kept, and what is still beyond is in its warnings.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-import json
 import logging
-from dataclasses import dataclass
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from preprocess.arrays import Floats, Ints
-from preprocess.atlas import Atlas, build_atlas
+from preprocess.atlas import Atlas, character_atlas
 from preprocess.bake.geometry import bake_surface_positions
 from preprocess.decimate import Chain, DecimateOptions, decimate
-from preprocess.export.folder import LodRow, write_folder
+from preprocess.export.folder import LodRow, write_folder, write_manifest
 from preprocess.export.report import write_report
-from preprocess.files.output_folder import MANIFEST, whole_folder
+from preprocess.files.output_folder import atomic_folder
 from preprocess.fit.level_geometry import fit_levels
 from preprocess.fit.textures import StoredTexture, TextureStage
 from preprocess.fit.uv_quantisation import snap_levels, snap_mesh
 from preprocess.load import Character, load_character
 from preprocess.load.pose_sampling import sample_poses
+from preprocess.mesh.surface import TexturedSurface
 from preprocess.progress import Progress
-from preprocess.settings import Settings, floor_faces
+from preprocess.settings import Settings
+from preprocess.verify.goals import Finding, as_json, judge
+from preprocess.verify.measure import Measurement, measure
+from preprocess.verify.retries import next_retry
+from runtime.asset.asset import load
 
 log = logging.getLogger(__name__)
 
 SURFACE_PX = 1024  # side of the texture that stands for the surface when levels are costed
-GUTTER_SIZE_PX, GUTTER_PX = 512, 4.0  # charts stay apart in geometry and weight textures of this size
 
 
 @dataclass(frozen=True)
@@ -66,57 +76,112 @@ def build(model: Path, destination: Path, settings: Settings, progress: Progress
     InputError
         If the file cannot be used; nothing is written then.
     """
-    with whole_folder(destination) as folder:
+    with atomic_folder(destination) as folder:
         with progress.stage("load") as stage:
             character = load_character(model)
             mesh = character.mesh
             stage.delta = (
                 f"{mesh.num_faces} faces, {character.skeleton.num_joints} joints, {len(character.clips)} clips"
             )
-        with progress.stage("atlas") as stage:
-            atlas = _build_atlas(character, settings)
-            stored = dataclasses.replace(atlas, mesh=snap_mesh(atlas.mesh))
-            stage.delta = f"{atlas.mode}, {atlas.num_charts} charts, floor {atlas.floor_faces} faces"
-        poses = sample_poses(character)
-        with progress.stage("textures") as stage:
-            baking = TextureStage(character, stored, poses, settings)
-            textures = baking.build()
-            stage.delta = ", ".join(f"{t.name} {t.size[0]}×{t.size[1]}" for t in textures)
-        with progress.stage("levels") as stage:
-            chain = _build_lods(character, atlas, textures, poses, settings)
-            lods = chain.lods if stored.mesh is atlas.mesh else snap_levels(chain.lods)
-            textures, lods = fit_levels(stored.mesh, textures, lods, poses)
-            chain = dataclasses.replace(chain, lods=lods)
-            normal_uvs = baking.level_normal_uvs(chain.lods)
-            stage.delta = " → ".join(str(lod.num_faces) for lod in chain.lods)
-        warnings = (
-            *character.warnings,
-            *atlas.warnings,
-            *baking.notes,
-            *chain.repairs.warnings(),
-            *chain.warnings,
-            *_missed_levels(chain, settings),
+        tries: list[_Try] = []
+        trying: Settings | None = settings
+        ways: list[str] = []
+        while trying is not None:
+            tried = _build_once(character, folder / f"try-{len(tries)}", trying, progress)
+            tries.append(tried)
+            with progress.stage("verify") as stage:
+                found = measure_folder(tried.folder, character)
+                tried.findings, tried.manifest["measurements"] = judge(found), as_json(found)
+                following = next_retry(trying, tried.manifest, tried.findings, ways)
+                faults = sum(not finding.holds for finding in tried.findings)
+                stage.delta = f"{faults} figures beyond their goals" if faults else "all figures within their goals"
+                if following is not None:
+                    stage.delta += f": again, with {following[0]}"
+            trying = None
+            if following is not None:
+                ways.append(following[0])
+                trying = following[1]
+        return _keep(min(tries, key=lambda one: one.badness), folder, ways, progress)
+
+
+def measure_folder(folder: Path, character: Character) -> Measurement:
+    """Measure what was written, as the runtime reads it."""
+    return measure(load(folder), character)
+
+
+@dataclass
+class _Try:
+    """One built folder, its manifest, pictures for the report, and what was found when it was measured."""
+
+    folder: Path
+    manifest: dict[str, Any]
+    surface: TexturedSurface
+    pictures: dict[str, Floats]
+    findings: list[Finding] = field(default_factory=list)
+
+    @property
+    def badness(self) -> tuple[int, int, float]:
+        """What the best of several has least of."""
+        gross = sum(finding.is_gross for finding in self.findings)
+        return (
+            gross,
+            sum(not finding.holds for finding in self.findings),
+            self.manifest["measurements"]["vertices"]["rms"],
         )
-        with progress.stage("write"):
-            rows = write_folder(
-                folder, character, stored, textures, chain, settings, warnings, progress.seconds, normal_uvs
-            )
-            if settings.report:
-                manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-                write_report(folder / "report.html", manifest, stored.mesh.surface, baking.draw_decisions())
-    return BuildResult(rows, warnings, dict(progress.seconds))
 
 
-def _build_atlas(character: Character, settings: Settings) -> Atlas:
-    floor = floor_faces(character.mesh.num_faces, settings.floor_rel)
-    return build_atlas(
-        character.mesh,
-        mode=settings.atlas,
-        floor=floor,
-        size_px=GUTTER_SIZE_PX,
-        gutter_px=GUTTER_PX,
-        straighten_rel=settings.straighten_rel,
+def _keep(chosen: _Try, folder: Path, ways: Sequence[str], progress: Progress) -> BuildResult:
+    """Move the best try up into the folder, its manifest told what was found; throw the others away."""
+    manifest = chosen.manifest
+    manifest["warnings"] += [finding.text for finding in chosen.findings if not finding.holds]
+    manifest["measurements"]["tried_again_with"] = list(ways)
+    manifest["timings"] = {name: round(seconds, 3) for name, seconds in progress.seconds.items()}
+    write_manifest(chosen.folder, manifest)
+    if manifest["settings"]["report"]:
+        write_report(chosen.folder / "report.html", manifest, chosen.surface, chosen.pictures)
+    for path in chosen.folder.iterdir():
+        path.rename(folder / path.name)
+    for path in folder.glob("try-*"):
+        shutil.rmtree(path)
+    rows = tuple(LodRow(**row) for row in manifest["lods"])
+    return BuildResult(rows, tuple(manifest["warnings"]), dict(progress.seconds))
+
+
+def _build_once(character: Character, folder: Path, settings: Settings, progress: Progress) -> _Try:
+    """All stages from the atlas on, into a folder of their own."""
+    folder.mkdir()
+    with progress.stage("atlas") as stage:
+        atlas = character_atlas(character, settings)
+        stored = dataclasses.replace(atlas, mesh=snap_mesh(atlas.mesh))
+        stage.delta = f"{atlas.mode}, {atlas.num_charts} charts, floor {atlas.floor_faces} faces"
+    poses = sample_poses(character)
+    with progress.stage("textures") as stage:
+        baking = TextureStage(character, stored, poses, settings)
+        textures = baking.build()
+        stage.delta = ", ".join(f"{t.name} {t.size[0]}×{t.size[1]}" for t in textures)
+    with progress.stage("levels") as stage:
+        chain = _build_lods(character, atlas, textures, poses, settings)
+        lods = chain.lods if stored.mesh is atlas.mesh else snap_levels(chain.lods)
+        stage.delta = " → ".join(str(lod.num_faces) for lod in lods)
+    with progress.stage("fit") as stage:
+        geometry, lods = fit_levels(stored.mesh, lods, poses, settings.geometry_size_px, settings.weight_size_px)
+        textures = [*geometry, *textures]
+        chain = dataclasses.replace(chain, lods=lods)
+        normal_uvs = baking.level_normal_uvs(chain.lods)
+        stage.delta = ", ".join(f"{t.name} {t.size[0]}×{t.size[1]}" for t in geometry)
+    warnings = (
+        *character.warnings,
+        *atlas.warnings,
+        *baking.notes,
+        *chain.warnings,
+        *_missed_levels(chain, settings),
     )
+    with progress.stage("write"):
+        manifest = write_folder(
+            folder, character, stored, textures, chain, settings, warnings, progress.seconds, normal_uvs
+        )
+    pictures = baking.draw_decisions() if settings.report else {}
+    return _Try(folder, manifest, stored.mesh.surface, pictures)
 
 
 def draw_groups(character: Character, face_materials: Ints) -> Ints | None:
@@ -133,8 +198,7 @@ def _build_lods(
     """The chain of levels, costed and measured in the sampled poses."""
     mesh = atlas.mesh
     # Levels are costed where the surface is: what the stored texture misses is made up for by `fit_levels`.
-    side = max(SURFACE_PX, *(max(t.size) for t in textures if t.name == "position"))
-    position = bake_surface_positions(mesh, (side, side))
+    position = bake_surface_positions(mesh, (SURFACE_PX, SURFACE_PX))
     dense = mesh.dense_weights(poses.shape[1])
     blended = np.einsum("vj,pjik->pvik", dense, poses[:, :, :3])
     options = DecimateOptions(

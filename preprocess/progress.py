@@ -13,7 +13,7 @@ from typing import Any
 
 from preprocess.numerics.compile_progress import COMPILING, watch_compiling
 
-WORTH_A_WORD_S = 1.0  # of compiling, in a stage's line
+WORTH_SAYING_S = 1.0  # of compiling, in a stage's line
 
 
 @contextlib.contextmanager
@@ -29,7 +29,7 @@ class Progress:
     Attributes
     ----------
     seconds : dict of str to float
-        Wall time a stage, in the order they ran.
+        Wall time of each stage, all its runs together, in the order they first ran.
     """
 
     def __init__(self, quiet: bool = False) -> None:
@@ -45,9 +45,10 @@ class Progress:
         start = time.perf_counter()
         with self._spinner(name), watch_compiling(self._tell) as compiling:
             yield stage
-        self.seconds[name] = time.perf_counter() - start
-        text = f"  {name:<12}{self.seconds[name]:6.1f} s   {stage.delta}".rstrip()
-        if compiling.seconds >= WORTH_A_WORD_S:
+        seconds = time.perf_counter() - start
+        self.seconds[name] = self.seconds.get(name, 0.0) + seconds
+        text = f"  {name:<12}{seconds:6.1f} s   {stage.delta}".rstrip()
+        if compiling.seconds >= WORTH_SAYING_S:
             text += f" ({compiling.seconds:.0f} s of it compiling)"
         self._print(text)
 

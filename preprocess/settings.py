@@ -16,7 +16,7 @@ class Settings:
     Attributes
     ----------
     atlas : str
-        "auto" takes the least change of the source's uvs that is one-to-one and reaches the floor.
+        "auto" takes the least change of the source's uvs that is one-to-one and gives every part its texels.
     straighten_rel : float or None
         Tolerance of seam straightening, a fraction of a chart's bounding box (0.01 is the paper's). None: off.
     seams : str
@@ -24,17 +24,17 @@ class Settings:
         textures whose two sides differ in tone.
     geometry_size_px, weight_size_px, color_size_px : int or None
         Sides of the square textures. None (auto): geometry and weights as small as the accuracy goals allow,
-        colours at the source's density, up to 4096 and to four texels for each that the source uses.
+        colours as large as every part of the source's detail needs, up to 4096.
     lod_ratios : tuple of float or None
         Faces of each level below the full mesh as a fraction of it; the full mesh is always there. None (auto): each
         about half the one before, to the floor.
     floor_rel : float
-        Fraction of the faces that the coarsest exact level must reach; the atlas is chosen for it. At most
-        `floor_rel` or 200 faces, whichever is larger, is asked for.
+        Fraction of the faces (or 200, whichever is larger) that the coarsest exact level should reach: a wish. Seams
+        that stay in place are straightened more for it, as far as nothing is stretched.
     exact : bool
         Leave out levels near and below the exact floor whose seams are relaxed, by half a texel of their mip at most.
     influences : int
-        Joint influences a vertex in model.glb: 4 or 8.
+        Joint influences per vertex in model.glb: 4 or 8.
     separate_lods : bool
         Also write each level as a file of its own, model_LOD0.glb …: for engines that pair files, not nodes.
     ktx2 : bool

@@ -92,8 +92,8 @@ def _candidates(things: Iterable[Actor | Crowd], ray: Ray) -> Iterator[_Candidat
             yield _Candidate(float(enters[index]), float(leaves[index]), batch.actors[index], None)
     for crowd in crowds:
         if crowd.visible and crowd.count:
-            enters, leaves = _through_spheres(ray, *crowd.stage.spheres)
-            for index in np.flatnonzero((enters <= leaves) & (leaves > 0) & crowd.stage.visible):
+            enters, leaves = _through_spheres(ray, *crowd.state.spheres)
+            for index in np.flatnonzero((enters <= leaves) & (leaves > 0) & crowd.state.visible):
                 yield _Candidate(float(enters[index]), float(leaves[index]), crowd, int(index))
 
 
@@ -196,15 +196,15 @@ def pick(
             slack = 0.01 * (one.leaves_m - one.enters_m) + 1e-6 * abs(one.leaves_m)
             near = max(one.enters_m - slack, 0.0)
             far = max(one.leaves_m + slack, near + 1e-9)
-            shown = one.thing.stage.visible.copy() if isinstance(one.thing, Crowd) else None
+            shown = one.thing.state.visible.copy() if isinstance(one.thing, Crowd) else None
             try:
                 if isinstance(one.thing, Crowd) and one.number is not None:
-                    one.thing.stage.visible[:] = False
-                    one.thing.stage.visible[one.number] = True
+                    one.thing.state.visible[:] = False
+                    one.thing.state.visible[one.number] = True
                 depth = pixel.depth_of(renderer, one.thing, _along(ray, near, far))
             finally:
                 if isinstance(one.thing, Crowd) and shown is not None:
-                    one.thing.stage.visible[:] = shown
+                    one.thing.state.visible[:] = shown
             distance = near + depth * (far - near)
             if depth < 1.0 and (found is None or distance < found.distance_m):
                 found = Hit(one.thing, one.number, ray[0] + distance * ray[1], distance)

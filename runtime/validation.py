@@ -17,7 +17,7 @@ FASTEST = 1e6
 MOST_NAMES = 12
 
 
-def shown(value: object) -> str:
+def describe(value: object) -> str:
     """A value as it is told in a message: one short line."""
     return " ".join(repr(value).split())[:80]
 
@@ -27,7 +27,7 @@ def is_number(value: object) -> bool:
     return isinstance(value, int | float | np.number) and not isinstance(value, bool | complex | np.complexfloating)
 
 
-def whole(value: object) -> bool:
+def is_integer(value: object) -> bool:
     """Whether it is a whole number (NumPy's too) and no truth value."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
@@ -56,7 +56,7 @@ def numbers(value: Any, what: str, largest: float = math.inf) -> NDArray[np.floa
         fits = False
     if not fits:
         bound = f" up to {largest:g}" if math.isfinite(largest) else ""
-        raise ValueError(f"{what} must be finite numbers{bound}, not {shown(value)}")
+        raise ValueError(f"{what} must be finite numbers{bound}, not {describe(value)}")
     return array.astype(np.float64)
 
 
@@ -73,10 +73,10 @@ def step_s(dt_s: Any, who: str) -> float:
             return float(dt_s)
     except (TypeError, ValueError):
         pass
-    raise ValueError(f"{who} cannot be updated by {shown(dt_s)} seconds; check the frame clock")
+    raise ValueError(f"{who} cannot be updated by {describe(dt_s)} seconds; check the frame clock")
 
 
-def no_such(kind: str, name: object, names: Sequence[str], owner: str) -> ValueError:
+def unknown_name(kind: str, name: object, names: Sequence[str], owner: str) -> ValueError:
     """An error for a name that is not there: what comes nearest, or what there is."""
     near: list[str] = []
     if isinstance(name, str):
@@ -84,7 +84,7 @@ def no_such(kind: str, name: object, names: Sequence[str], owner: str) -> ValueE
         near = [plain[one] for one in difflib.get_close_matches(name.casefold(), list(plain), n=3, cutoff=0.5)]
         near += [known for known in names if name and name.casefold() in known.casefold() and known not in near]
     if near:
-        return ValueError(f"no {kind} {shown(name)}; did you mean {' or '.join(repr(one) for one in near[:3])}?")
+        return ValueError(f"no {kind} {describe(name)}; did you mean {' or '.join(repr(one) for one in near[:3])}?")
     listed = ", ".join(repr(known) for known in names[:MOST_NAMES]) or "none"
     more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-    return ValueError(f"no {kind} {shown(name)}; the {owner} has {listed}{more}")
+    return ValueError(f"no {kind} {describe(name)}; the {owner} has {listed}{more}")

@@ -39,5 +39,5 @@ void main() {
     surface_normal_matrix = normal_matrix(world) * normal_matrix(pose);
     surface_rest = in_position;
     surface_tint = in_tint;
-    surface_level = in_numbers.y;
+    surface_level = in_pose_and_level.y;
 }

@@ -2,7 +2,7 @@
 //
 // A level's vertices were expanded once from the textures (crowd_expand.vert): position at rest and the strongest
 // joints. That is what static.vert fetches for every actor anew. Of a coarse level the places of all vertices in all
-// poses are ready-made (runtime/crowd/vertex_animation_texture.py): PLACED.
+// poses are ready-made (runtime/crowd/vertex_animation_texture.py): VERTEX_ANIMATION.
 #include "include/frame.glsl"
 #include "include/skinning.glsl"
 #include "include/joint_color.glsl"
@@ -16,19 +16,19 @@ in vec4 in_more_weights;
 #endif
 in vec2 in_uv;
 #ifdef NORMAL_UV
-in uvec2 in_normal_uv;  // 65535ths
+in uvec2 in_normal_uv;  // steps
 #endif
 in vec4 in_world_row0;   // once an instance: object space to world (seen from the eye)
 in vec4 in_world_row1;
 in vec4 in_world_row2;
-in float in_row;         // of the baked clips; the fraction lies on the way to the next one
+in float in_pose_row;         // of the baked clips; the fraction lies on the way to the next one
 in vec4 in_tint;
 uniform int crowd_level;
-#ifdef PLACED
-in uint in_place;
-uniform usampler2D place_texture;   // a place along x, a pose a row: 11, 11 and 10 bits
-uniform vec3 place_scale;           // metres = whole number * scale + offset
-uniform vec3 place_offset;
+#ifdef VERTEX_ANIMATION
+in uint in_column;
+uniform usampler2D vertex_animation_texture;   // a place along x, a pose a row: 11, 11 and 10 bits
+uniform vec3 vertex_animation_scale;           // metres = whole number * scale + offset
+uniform vec3 vertex_animation_offset;
 #endif
 
 out vec2 surface_uv;
@@ -44,14 +44,14 @@ flat out int surface_level;
 out vec3 surface_joint_color;
 #endif
 
-#ifdef PLACED
+#ifdef VERTEX_ANIMATION
 vec3 whole_place(int row) {
-    uint packed_place = texelFetch(place_texture, ivec2(int(in_place), row), 0).r;
+    uint packed_place = texelFetch(vertex_animation_texture, ivec2(int(in_column), row), 0).r;
     return vec3(uvec3(packed_place & 2047u, (packed_place >> 11u) & 2047u, packed_place >> 22u));
 }
 
 vec3 posed_point(int row, int next, float onwards) {
-    return mix(whole_place(row), whole_place(next), onwards) * place_scale + place_offset;
+    return mix(whole_place(row), whole_place(next), onwards) * vertex_animation_scale + vertex_animation_offset;
 }
 
 // What turns normals: the two strongest joints, in the nearest row.
@@ -85,11 +85,11 @@ mat3x4 posed_frame(int row, int next, float onwards) {
 #endif
 
 void main() {
-    int row = int(in_row);
-    float onwards = in_row - float(row);
+    int row = int(in_pose_row);
+    float onwards = in_pose_row - float(row);
     int next = row + int(onwards > 0.0);  // a clip's last row has no next
     mat3x4 pose = posed_frame(row, next, onwards);
-#ifdef PLACED
+#ifdef VERTEX_ANIMATION
     vec3 point = posed_point(row, next, onwards);
 #else
     vec3 point = transform_point(pose, in_position);
@@ -99,9 +99,9 @@ void main() {
     gl_Position = clip_from_world * vec4(surface_position, 1.0);
     surface_uv = in_uv;
 #ifdef NORMAL_UV
-    surface_normal_uv = vec2(in_normal_uv) / 65535.0;
+    surface_normal_uv = vec2(in_normal_uv) / float(NORMAL_UV);
 #endif
-    surface_normal_matrix = normal_matrix(world) * normal_matrix(pose);
+    surface_normal_matrix = normal_matrix(world) * pose_normal_matrix(pose);
     surface_rest = in_position;
     surface_tint = in_tint;
     surface_level = crowd_level;

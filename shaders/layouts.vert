@@ -59,14 +59,14 @@ mat3x4 blend_all(vec2 uv, int pose) {
 
 void main() {
     vec3 rest = rest_position(canonical_uv());
-    mat3x4 pose = blend_all(canonical_uv(), in_numbers.x);
+    mat3x4 pose = blend_all(canonical_uv(), in_pose_and_level.x);
     mat3x4 world = mat3x4(in_world_row0, in_world_row1, in_world_row2);
     vec3 position = transform_point(world, transform_point(pose, rest));
     gl_Position = clip_from_world * vec4(position, 1.0);
     surface_uv = own_uv();
     surface_position = position;
-    surface_normal_matrix = normal_matrix(world) * normal_matrix(pose);
+    surface_normal_matrix = normal_matrix(world) * pose_normal_matrix(pose);
     surface_rest = rest;
     surface_tint = in_tint;
-    surface_level = in_numbers.y;
+    surface_level = in_pose_and_level.y;
 }

@@ -20,7 +20,7 @@ in vec4 point_world_row0[];
 in vec4 point_world_row1[];
 in vec4 point_world_row2[];
 in vec4 point_tint[];
-flat in ivec2 point_numbers[];
+flat in ivec2 point_pose_and_level[];
 
 out vec2 corner_uv[];
 out vec2 corner_canonical_uv[];
@@ -33,14 +33,14 @@ patch out vec4 patch_world_row0;
 patch out vec4 patch_world_row1;
 patch out vec4 patch_world_row2;
 patch out vec4 patch_tint;
-patch out ivec2 patch_numbers;
+patch out ivec2 patch_pose_and_level;
 
 float edge_factor(vec3 a, vec3 b, vec4 edge_uvs) {
     if (edge_uvs.xy == edge_uvs.zw) {  // an edge that is to stay whole (runtime/gpu/patch_validation.py)
         return 1.0;
     }
-    if (tessellation.z > 0.0) {
-        return tessellation.z;
+    if (fixed_factor > 0.0) {
+        return fixed_factor;
     }
     PRECISE vec3 middle = (a + b) * 0.5;
     vec3 along = a - b;
@@ -48,11 +48,11 @@ float edge_factor(vec3 a, vec3 b, vec4 edge_uvs) {
     vec4 depth_row = vec4(clip_from_world[0].w, clip_from_world[1].w, clip_from_world[2].w, clip_from_world[3].w);
     PRECISE float depth = dot(depth_row, vec4(middle, 1.0));
     // The sphere around the edge: its nearest point decides, so an edge that passes the eye is still fine enough.
-    PRECISE float nearest = max(depth - 0.5 * length_m * viewport_px.w, 1e-3 * length_m + 1e-30);
-    PRECISE float by_pixels = length_m * viewport_px.z / (nearest * tessellation.x);
+    PRECISE float nearest = max(depth - 0.5 * length_m * depth_per_metre, 1e-3 * length_m + 1e-30);
+    PRECISE float by_pixels = length_m * pixels_per_metre / (nearest * segment_px);
     vec2 across = abs(edge_uvs.xy - edge_uvs.zw) * vec2(textureSize(position_texture, 0));
-    PRECISE float by_texels = max(across.x, across.y) / tessellation.w;
-    return clamp(min(by_pixels, by_texels), 1.0, tessellation.y);
+    PRECISE float by_texels = max(across.x, across.y) / texels_per_segment;
+    return clamp(min(by_pixels, by_texels), 1.0, largest_factor);
 }
 
 void main() {
@@ -65,16 +65,16 @@ void main() {
     corner_normal_uv[gl_InvocationID] = point_normal_uv[corner];
 #endif
     corner_edge_uvs[gl_InvocationID] = vec4(point_uv[3 + 2 * corner], point_uv[4 + 2 * corner]);
-    corner_position[gl_InvocationID] = tessellation.z > 0.0
+    corner_position[gl_InvocationID] = fixed_factor > 0.0
         ? vec3(0.0)
-        : transform_point(world, transform_point(blend_joints(place, point_numbers[corner].x), rest_position(place)));
+        : transform_point(world, transform_point(blend_joints(place, point_pose_and_level[corner].x), rest_position(place)));
     barrier();
     if (corner == 0) {
         patch_world_row0 = point_world_row0[0];
         patch_world_row1 = point_world_row1[0];
         patch_world_row2 = point_world_row2[0];
         patch_tint = point_tint[0];
-        patch_numbers = point_numbers[0];
+        patch_pose_and_level = point_pose_and_level[0];
         // The outer level k belongs to the edge opposite corner k.
         float factors[3];
         for (int edge = 0; edge < 3; ++edge) {

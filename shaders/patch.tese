@@ -23,7 +23,7 @@ patch in vec4 patch_world_row0;
 patch in vec4 patch_world_row1;
 patch in vec4 patch_world_row2;
 patch in vec4 patch_tint;
-patch in ivec2 patch_numbers;
+patch in ivec2 patch_pose_and_level;
 
 bool comes_first(vec2 a, vec2 b) {
     return a.x < b.x || (a.x == b.x && a.y < b.y);
@@ -57,7 +57,7 @@ void main() {
     vec3 at = gl_TessCoord;
     PRECISE vec2 own_uv = corner_uv[0] * at.x + corner_uv[1] * at.y + corner_uv[2] * at.z;
     mat3x4 world = mat3x4(patch_world_row0, patch_world_row1, patch_world_row2);
-    emit_point(own_uv, geometry_place(at, own_uv), world, patch_tint, patch_numbers);
+    emit_point(own_uv, geometry_place(at, own_uv), world, patch_tint, patch_pose_and_level);
 #ifdef NORMAL_UV
     surface_normal_uv = corner_normal_uv[0] * at.x + corner_normal_uv[1] * at.y + corner_normal_uv[2] * at.z;
 #endif

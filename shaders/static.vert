@@ -9,7 +9,7 @@
 #include "include/vertex_uvs.glsl"
 
 #ifdef NORMAL_UV
-in uvec2 in_normal_uv;  // 65535ths
+in uvec2 in_normal_uv;  // steps
 #endif
 
 void main() {
@@ -18,8 +18,8 @@ void main() {
 #else
     vec2 geometry_uv = canonical_uv();
 #endif
-    emit_point(own_uv(), geometry_uv, mat3x4(in_world_row0, in_world_row1, in_world_row2), in_tint, in_numbers);
+    emit_point(own_uv(), geometry_uv, mat3x4(in_world_row0, in_world_row1, in_world_row2), in_tint, in_pose_and_level);
 #ifdef NORMAL_UV
-    surface_normal_uv = uv_of_steps(in_normal_uv);
+    surface_normal_uv = uv_of_steps(in_normal_uv, NORMAL_UV);
 #endif
 }

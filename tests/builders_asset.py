@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from preprocess.files.images import Image, write_image
-from preprocess.fit.weight_stack import pack_weights
 from preprocess.mesh.texels import px_to_uv
+from runtime.asset.weight_stack import pack_weights
 
 X, Y, Z = np.eye(3)
 AXES = np.array([[-Z, Y, X], [Z, Y, -X], [X, -Z, Y], [X, Z, -Y], [X, Y, Z], [-X, Y, -Z]])  # right, up, out of each face

@@ -105,6 +105,13 @@ def copies(mesh: Mesh, count: int, spacing: float = 3.0) -> Mesh:
     return moved.reshape(-1, 3), (faces[None] + len(positions) * np.arange(count)[:, None, None]).reshape(-1, 3)
 
 
+def grid_of_charts(count: int, cells: int = 4) -> SkinnedMesh:
+    """Flat patches a metre wide, far apart in space, their uvs all in the same place: each one-to-one in itself."""
+    positions, faces = patch(cells, cells)
+    many, many_faces = copies((positions, faces), count)
+    return skinned(many, many_faces, np.tile(positions[:, :2], (count, 1)), many_faces)
+
+
 FAMILIES: dict[str, Mesh] = {
     "triangle": (np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), np.array([[0, 1, 2]])),
     "two triangles": (np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]])),

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from builders_animation import random_skeleton
 
+from runtime.animation.bounds import JointBoxes
 from runtime.animation.clip import Clip, Track
 from runtime.animation.mixer import Mixer
 from runtime.animation.skeleton import Skeleton
@@ -35,9 +36,8 @@ def angle_about_x(quaternion: np.ndarray) -> float:
 
 
 def model_of(skeleton: Skeleton, clips: list[Clip]) -> Any:
-    boxes = [np.array([[-1.0] * 3, [1.0] * 3])] * skeleton.num_joints
-    manifest = SimpleNamespace(joint_bounds=tuple(boxes), bind_bounds=boxes[0])
-    return SimpleNamespace(mixer=Mixer(skeleton, clips), asset=SimpleNamespace(manifest=manifest))
+    boxes = np.tile([[-1.0] * 3, [1.0] * 3], (skeleton.num_joints, 1, 1)).reshape(-1, 2, 3)
+    return SimpleNamespace(mixer=Mixer(skeleton, clips), joint_boxes=JointBoxes(boxes))
 
 
 def make_walker() -> Any:

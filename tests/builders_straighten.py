@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from preprocess.arrays import Floats, Ints
-from preprocess.atlas.repack import repack_charts
+from preprocess.atlas.placement import place_charts
 from preprocess.mesh.surface import TexturedSurface
 
 
@@ -135,7 +135,7 @@ def random_charts(seed: int) -> TexturedSurface:
     # Faces of one label that meet at an edge make a chart: labels apart in uv, then what hangs together there.
     corners = points[faces] * 0.9 + 2.0 * label[:, None, None]
     surface = weld_uvs(np.column_stack([points, 0.0 * points[:, 0]]), faces, corners)
-    return repack_charts(surface, 512, 4.0).surface
+    return place_charts(surface, np.zeros(len(surface.faces)))
 
 
 def weld_uvs(positions: Floats, faces: Ints, corner_uvs: Floats) -> TexturedSurface:

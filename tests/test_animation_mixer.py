@@ -131,16 +131,16 @@ def test_root_motion_walks_the_actor_and_not_the_root(walker: Any) -> None:
     turned = np.eye(4)
     turned[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]  # a quarter turn: +X becomes −Z
     actor = Actor(walker, "walk", root_motion=True, transform=turned)
-    in_place = Actor(walker, "walk")
+    in_column = Actor(walker, "walk")
     for _ in range(35):
         actor.update(0.1)
-        in_place.update(0.1)
+        in_column.update(0.1)
     np.testing.assert_allclose(actor.transform[:3, 3], [0, 0, -7.0], atol=1e-9)  # 3.5 rounds of 2 m
     held = walker.mixer.pose(actor.row).translation[0, 0]
-    free = walker.mixer.pose(in_place.row).translation[0, 0]
+    free = walker.mixer.pose(in_column.row).translation[0, 0]
     np.testing.assert_allclose(held, [0, 1.2, 0], atol=1e-6)  # bobbing stays
     np.testing.assert_allclose(free, [1, 1.2, 0], atol=1e-6)
-    assert (in_place.transform == np.eye(4)).all()
+    assert (in_column.transform == np.eye(4)).all()
 
 
 def walking_clip(skeleton: Skeleton, root: int, seed: int, rotates: bool = True) -> Clip:

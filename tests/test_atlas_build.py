@@ -1,4 +1,4 @@
-"""Which atlas is chosen and why, what is refused, and the floors of the test characters."""
+"""Which atlas is chosen and why, what is refused, and whether every part of the test characters has its texels."""
 
 from __future__ import annotations
 
@@ -7,15 +7,21 @@ import time
 
 import numpy as np
 import pytest
-from builders_atlas import patch, skinned, tetrahedron, tube
+from builders_atlas import patch, skinned, tetrahedron
 from conftest import asset
 
-from preprocess.atlas import MODES, build_atlas, default_floor
+from preprocess.atlas import MODES, build_atlas, character_atlas
+from preprocess.atlas.detail import COARSEST, Detail, find_levels
+from preprocess.atlas.distortion import turned_areas
+from preprocess.atlas.flatten import local_triangles
 from preprocess.atlas.measure import measure_coverage, measure_stretch, straight_share
-from preprocess.decimate import decimate_to
+from preprocess.atlas.snap import bear_snapping
 from preprocess.errors import InputError
+from preprocess.mesh.predicates import face_orientation
 from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
+from preprocess.mesh.texels import snap_canonical_uvs
 from preprocess.mesh.uv_overlap import find_overlap
+from preprocess.settings import Settings
 
 
 def square_patch(cells: int = 16) -> SkinnedMesh:
@@ -43,19 +49,18 @@ def test_auto_keeps_sound_uvs_bit_by_bit_when_nothing_needs_straightening():
     atlas = build_atlas(mesh, straighten_rel=None)
     assert (atlas.mode, atlas.num_charts, atlas.overlap, atlas.resampled) == ("keep", 1, 0, False)
     assert atlas.mesh.surface.uvs.tobytes() == mesh.surface.uvs.tobytes()
-    assert atlas.coverage == pytest.approx(0.81)
-    assert atlas.report["not_chosen"] == []
+    assert atlas.coverage == pytest.approx(0.81, rel=1e-4)
+    assert atlas.report == {} and atlas.kept_share == 1.0
     assert not atlas.made_seams.any()
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_auto_unwraps_uvs_that_are_not_finite(value):
+def test_auto_lays_out_anew_what_is_not_finite(value):
     mesh = square_patch()
     uvs = mesh.surface.uvs.copy()
     uvs[5] = value
     atlas = build_atlas(with_uvs(mesh, uvs))
-    assert atlas.mode == "unwrap" and atlas.overlap == 0
-    assert [reason.split(":")[0] for reason in atlas.report["not_chosen"]] == ["keep", "repack"]
+    assert atlas.overlap == 0 and "not finite" in atlas.report["not_chosen"][0]
 
 
 def test_auto_unwraps_uvs_at_one_point():
@@ -76,34 +81,45 @@ def test_auto_unwraps_a_folded_chart():
 def test_auto_repacks_sound_charts_that_overlap_or_lie_outside(shift):
     mesh = two_patches(shift)
     assert build_atlas(two_patches((0.5, 0.0))).mode == "keep"
-    atlas = build_atlas(mesh)
-    assert (atlas.mode, atlas.num_charts, atlas.overlap) == ("repack", 2, 0)
+    atlas = build_atlas(mesh, detail=painted(mesh, 1024))
+    assert (atlas.mode, atlas.num_charts, atlas.overlap, atlas.kept_share) == ("repack", 2, 0, 1.0)
     uvs = atlas.mesh.surface.uvs
     assert uvs.min() >= 0 and uvs.max() <= 1
+
+
+def painted(mesh: SkinnedMesh, size_px: int) -> Detail:
+    """As if one image of this size were painted to the last texel."""
+    corners = mesh.surface.uvs[mesh.surface.face_uvs] * size_px
+    areas = turned_areas(local_triangles(mesh.surface.positions, mesh.surface.faces))
+    needs = {"base_color": np.sqrt(np.abs(turned_areas(corners)) / areas)}
+    return Detail(needs, np.full((mesh.num_faces, 2), float(size_px)), {"base_color": size_px})
+
+
+def test_parts_that_share_texels_get_texels_of_their_own():
+    """Two halves on one 1024² sheet need two sheets' worth: a side of 1024 · √2 at least, for the same density."""
+    apart, stacked = two_patches((0.5, 0.0)), two_patches((0.0, 0.0))
+    assert build_atlas(apart, detail=painted(apart, 1024)).sides == {"base_color": 1024}
+    grown = dataclasses.replace(stacked.surface, uvs=(stacked.surface.uvs - 0.02) * 2)  # each on nearly all of it
+    mesh = stacked.with_surface(grown)
+    atlas = build_atlas(mesh, detail=painted(mesh, 1024))
+    assert atlas.sides == {"base_color": 2048}
+    before, after = (np.abs(turned_areas(m.surface.uvs[m.surface.face_uvs])).sum() for m in (mesh, atlas.mesh))
+    assert after * 2048**2 >= before * 1024**2 * 0.86, "at most 7 % fewer texels a metre"
+
+
+def test_what_does_not_fit_is_said():
+    mesh = two_patches((0.0, 0.0))
+    atlas = build_atlas(mesh, detail=painted(mesh, 8192))
+    assert atlas.sides == {"base_color": 4096}
+    assert any("would keep every texel" in warning for warning in atlas.warnings)
 
 
 def test_auto_repacks_charts_that_share_texels():
     mesh = two_patches((0.45 + 0.5 / 1024, 0.0))  # half a texel apart
     assert find_overlap(mesh.surface.uvs, mesh.surface.face_uvs).one_to_one
-    atlas = build_atlas(mesh)
+    atlas = build_atlas(mesh, detail=painted(mesh, 1024))
     assert atlas.mode == "repack"
     assert "share" in atlas.report["not_chosen"][0]
-
-
-def test_auto_unwraps_when_seams_cannot_reach_the_floor():
-    """Every face is a chart of its own: one-to-one, but nothing can ever collapse."""
-    positions, faces = tube(16, 40, 10, closed=True)
-    count = len(faces)
-    cell = int(np.ceil(np.sqrt(count)))
-    at = np.stack([np.arange(count) % cell, np.arange(count) // cell], axis=1)[:, None]
-    corners = np.array([[0.2, 0.2], [0.8, 0.2], [0.2, 0.8]])
-    mesh = skinned(positions, faces, ((at + corners) / cell).reshape(-1, 2), np.arange(3 * count).reshape(-1, 3))
-    kept = build_atlas(mesh, mode="keep")
-    assert (kept.mode, kept.num_charts, kept.overlap) == ("keep", count, 0)
-    atlas = build_atlas(mesh)
-    assert atlas.mode == "unwrap"
-    assert f"{count} charts keep a face each" in atlas.report["not_chosen"][0]
-    assert len(decimate_to(atlas.mesh.surface, 200).lods[0].faces) <= 200
 
 
 def test_keep_is_honoured_even_with_overlap_and_says_so():
@@ -168,39 +184,68 @@ def test_measures_of_a_square_by_hand():
     assert measure_stretch(squashed) == (np.inf, np.inf)
 
 
+def test_stored_uvs_do_not_overlap_where_rounding_would_turn_a_face():
+    """A needle a tenth of a step wide, in the middle of a kept chart."""
+    step = 1.0 / 65535.0
+    uvs = np.array([[0.1, 0.1], [0.9, 0.1], [0.5, 0.5], [0.5 + 0.04 * step, 0.1 + 0.06 * step], [0.1, 0.9], [0.9, 0.9]])
+    faces = np.array([[0, 3, 2], [3, 1, 2], [0, 2, 4], [1, 5, 2], [2, 5, 4], [0, 1, 3]], np.int32)
+    positions = np.c_[uvs, np.zeros(6)]
+    for v in (uvs, uvs + 0.3 * step):
+        moved = bear_snapping(v, faces)
+        assert not (face_orientation(snap_canonical_uvs(moved), faces) == 0).any()
+        assert find_overlap(snap_canonical_uvs(moved), faces).one_to_one
+        assert np.abs(moved - v).max() < 4 * step
+    assert build_atlas(skinned(positions, faces, uvs, faces), straighten_rel=None).overlap == 0
+    square = square_patch().surface
+    assert (bear_snapping(square.uvs, square.face_uvs) == square.uvs).all()
+
+
+@pytest.mark.parametrize("kind", ("flat", "ramp", "line", "noise"))
+def test_levels_say_where_a_coarser_mip_looks_the_same(kind):
+    """Flat and evenly rising colours may be halved to the end, except at the border; a line not at all where it is."""
+    texels = np.full((64, 64, 3), 0.5)
+    if kind == "ramp":
+        texels[:] = np.linspace(0.0, 0.25, 64)[None, :, None]
+    if kind == "line":
+        texels[20] = 1.0
+    if kind == "noise":
+        texels[:] = np.random.default_rng(0).uniform(size=(64, 64, 1))
+    levels = find_levels(texels)
+    assert levels.shape == (64, 64)
+    if kind == "flat":
+        assert (levels == COARSEST).all()
+    if kind == "ramp":
+        assert levels.min() >= 3
+    if kind == "line":
+        assert (levels[20] == 0).all() and (levels[40:] >= 3).all()
+    if kind == "noise":
+        assert levels.mean() < 0.2
+
+
 # --- the test characters ----------------------------------------------------------------------------------------------
 
-CHARACTERS = ("human", "Fox", "Knight", "robot", "mannequiny")
+CHARACTERS = ("Fox", "lumberjack", "cat", "phoenix_bird", "robot", "Knight", "mannequiny", "human", "BrainStem")
 
 
 @pytest.mark.parametrize("name", CHARACTERS)
-def test_characters_reach_the_floor_without_flags(name):
+def test_every_part_of_a_character_has_its_texels(name):
+    """Without flags, as stored, at the size of its textures."""
     from preprocess.load import load_character
 
-    mesh = load_character(asset(f"{name}.glb")).mesh
+    character = load_character(asset(f"{name}.glb"))
     start = time.process_time()
-    atlas = build_atlas(mesh)
+    atlas = character_atlas(character, Settings())
     assert time.process_time() - start < 60, "bounded even with compilation on a slow machine"
     atlas.mesh.validate()
+    surface = atlas.mesh.surface
     assert atlas.overlap == 0
-    assert atlas.stretch_l2 < 1.5
-    floor = default_floor(mesh.num_faces)
-    assert floor == max(int(0.03 * mesh.num_faces), 200)
-    assert len(decimate_to(atlas.mesh.surface, floor).lods[0].faces) <= floor
-
-
-@pytest.mark.parametrize("name", ("human", "Fox"))
-def test_base_mesh_atlas_of_sound_characters(name):
-    """`unwrap` must do as well where `auto` does not need it."""
-    from preprocess.load import load_character
-
-    mesh = load_character(asset(f"{name}.glb")).mesh
-    atlas = build_atlas(mesh, mode="unwrap")
-    floor = default_floor(mesh.num_faces)
-    assert atlas.overlap == 0
-    assert atlas.stretch_l2 < 1.25
-    assert atlas.coverage > 0.6
-    assert len(decimate_to(atlas.mesh.surface, floor).lods[0].faces) <= floor
+    assert find_overlap(snap_canonical_uvs(surface.uvs), surface.face_uvs).one_to_one
+    texels = atlas.texels
+    assert texels["sparse_area"] <= 0.001 and texels["sparse_faces"] == 0
+    assert texels["stretched_area"] <= 0.0011  # human: the source's own 0.00104
+    assert texels["stretched_faces"] <= (52 if name == "human" else 8)  # of human's source, which is kept
+    assert measure_stretch(surface)[0] < (1.4 if name == "human" else 1.3)
+    assert atlas.coverage > (0.35 if atlas.mode == "keep" else 0.5)
 
 
 def test_kept_human_is_nine_tenths_collapsible():

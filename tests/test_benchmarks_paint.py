@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.paint import POINTS_A_TEXEL, measure, seam_points
+from benchmarks.paint import POINTS_PER_TEXEL, measure, seam_points
 
 
 def test_points_of_both_sides_belong_together() -> None:
@@ -15,7 +15,7 @@ def test_points_of_both_sides_belong_together() -> None:
     first, second = seam_points(lines, 64)
     share = (first[:, 0] - 0.1) / 0.2
     long = first[:, 1] < 0.5
-    assert long.sum() == np.ceil(0.4 * 64 * POINTS_A_TEXEL) + 1 and (~long).sum() == 1
+    assert long.sum() == np.ceil(0.4 * 64 * POINTS_PER_TEXEL) + 1 and (~long).sum() == 1
     np.testing.assert_allclose(second[long], np.stack([0.9 + 0 * share, 0.9 - 0.4 * share], axis=1)[long])
     assert ((share[long] > 0) & (share[long] < 1)).all() and (np.diff(share[long]) > 0).all()
 

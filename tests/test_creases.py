@@ -24,12 +24,11 @@ from preprocess.bake.hard_edges import (
     find_normal_uvs,
     move_from_creases,
     move_seams,
-    next_corners,
-    pair_inside_charts,
 )
 from preprocess.decimate import DecimateOptions, decimate
 from preprocess.fit.level_normal_uvs import find_hard_edges, find_level_normal_uvs
 from preprocess.load import load_character
+from preprocess.mesh.edges import next_corners, pair_inside_charts
 from preprocess.mesh.raster import cover_atlas, rasterise
 from preprocess.mesh.seams import find_seams, pick_seams
 from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
@@ -178,9 +177,9 @@ def test_smooth_neighbours_stay_together(tmp_path: Path) -> None:
     twins = pair_inside_charts(mesh.surface)
     smooth = np.flatnonzero((twins >= 0) & ~normal.hard.reshape(-1))
     uvs = normal.corners.reshape(-1, 2)
-    np.testing.assert_array_equal(uvs[smooth], uvs[next_corners(mesh.num_faces)[twins[smooth]]])
+    np.testing.assert_array_equal(uvs[smooth], uvs[next_corners(twins[smooth])])
     apart = np.flatnonzero(normal.hard.reshape(-1))
-    gap = uvs[apart] - uvs[next_corners(mesh.num_faces)[twins[apart]]]
+    gap = uvs[apart] - uvs[next_corners(twins[apart])]
     assert (np.linalg.norm(gap * SIZE, axis=1) >= 2 * INSET - 0.1).all()
 
 

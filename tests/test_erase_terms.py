@@ -16,7 +16,7 @@ from preprocess.erase.energies import (
     value_rows,
 )
 from preprocess.erase.grid import _mark_near, build_grid
-from preprocess.erase.intervals import MERGE_REL, _cut, split_edges
+from preprocess.erase.intervals import MERGE_REL, _cut, cut_into_intervals
 from preprocess.erase.matrix import GRADIENT_MASS, _square_elements, grid_matrix
 from preprocess.erase.prolongation import _blend_square, _find_free, spread_far, spread_near
 from preprocess.erase.region import find_inside, find_region, silhouette_lines
@@ -53,7 +53,7 @@ def cut_slowly(lines_px: np.ndarray) -> list[np.ndarray]:
 def test_intervals_cover_edges_and_stay_in_cells(size, repeat):
     surface = make_cube()
     seams = find_seams(surface)
-    pieces = split_edges(surface.uvs[seams.uv_pairs], *size, repeat=repeat)
+    pieces = cut_into_intervals(surface.uvs[seams.uv_pairs], *size, repeat=repeat)
     assert (pieces.end > pieces.start).all()
     for edge in range(len(seams.vertices)):
         mine = pieces.edges == edge
@@ -77,7 +77,7 @@ def test_cuts_equal_slow_twin():
 
 
 def test_intervals_of_no_edges():
-    pieces = split_edges(np.zeros((0, 2, 2, 2)), 8, 8)
+    pieces = cut_into_intervals(np.zeros((0, 2, 2, 2)), 8, 8)
     assert len(pieces) == 0 and pieces.texels.shape == (0, 2, 4)
     assert jump_rows(pieces, np.zeros(0)).shape == (0, 64)
 
@@ -100,7 +100,7 @@ def test_jump_is_the_brute_force_integral(size):
         sides = [sample_bilinear(image, (1 - gamma)[:, None] * a + gamma[:, None] * b)[:, 0] for a, b in ends]
         return (sides[0] - sides[1]) ** 2
 
-    rows = jump_rows(split_edges(surface.uvs[seams.uv_pairs], *size), seams.lengths_m)
+    rows = jump_rows(cut_into_intervals(surface.uvs[seams.uv_pairs], *size), seams.lengths_m)
     energy = float(np.sum((rows @ image.ravel()) ** 2))
     assert energy == pytest.approx(integrate(squared_jump, seams.lengths_m), rel=2e-5)
 
@@ -111,7 +111,7 @@ def test_jump_wraps_with_a_repeating_sampler():
     width = height = 12
     image = paint(width, height, channels=1)
     tiled = np.tile(image, (3, 3, 1))
-    rows = jump_rows(split_edges(surface.uvs[seams.uv_pairs], width, height, repeat=True), seams.lengths_m)
+    rows = jump_rows(cut_into_intervals(surface.uvs[seams.uv_pairs], width, height, repeat=True), seams.lengths_m)
 
     def squared_jump(edge, gamma):
         ends = (surface.uvs[seams.uv_pairs[edge]] + 1) / 3
@@ -144,7 +144,7 @@ def test_slope_is_the_brute_force_integral(size):
             total = total + (ahead - behind)[:, 0] / (2 * step)
         return total**2
 
-    rows = slope_rows(split_edges(surface.uvs[seams.uv_pairs], *size), seams.lengths_m, normals)
+    rows = slope_rows(cut_into_intervals(surface.uvs[seams.uv_pairs], *size), seams.lengths_m, normals)
     energy = float(np.sum((rows @ image.ravel()) ** 2))
     assert energy == pytest.approx(integrate(squared_slope, seams.lengths_m), rel=1e-3)
 
@@ -156,7 +156,7 @@ def test_values_along_the_silhouette_are_the_brute_force_integral():
     lengths = np.linspace(1, 2, len(lines))
     image = paint(20, 14, channels=2)
     ends = np.random.default_rng(3).random((len(lines), 2, 2))
-    pieces = split_edges(lines, 20, 14)
+    pieces = cut_into_intervals(lines, 20, 14)
     rows, scale = value_rows(pieces, lengths)
     deviation = rows @ image.reshape(-1, 2) - lerp_targets(pieces, scale, ends)
     for channel in range(2):
@@ -172,7 +172,7 @@ def test_values_along_the_silhouette_are_the_brute_force_integral():
 def test_energy_gradients_equal_finite_differences():
     surface = make_cube()
     seams = find_seams(surface)
-    pieces = split_edges(surface.uvs[seams.uv_pairs], 12, 9)
+    pieces = cut_into_intervals(surface.uvs[seams.uv_pairs], 12, 9)
     normals = inward_normals(surface, seams, 12, 9)
     image = paint(12, 9, channels=1).ravel()
     direction = np.random.default_rng(5).normal(size=image.size)
@@ -348,7 +348,7 @@ def test_relaxed_texels_have_their_neighbours_and_no_seam():
     np.testing.assert_array_equal(texels[below], texels[rows] + 64)
     np.testing.assert_array_equal(texels[rows - 1], texels[rows] - 1)
     np.testing.assert_array_equal(texels[rows + 1], texels[rows] + 1)
-    read = split_edges(silhouette_lines(surface, seams), 64, 64).texels
+    read = cut_into_intervals(silhouette_lines(surface, seams), 64, 64).texels
     assert not np.isin(texels[rows], read).any()
 
 

@@ -13,7 +13,7 @@ MOST_FILES = 18  # in one folder
 RUNTIME = ("errors", "validation", "gltf", "animation", "asset", "scene", "gpu", "render", "crowd", "picking")
 PREPROCESS = (
     *("errors", "arrays", "settings", "numerics", "progress", "mesh", "files", "load", "straighten", "decimate"),
-    *("atlas", "bake", "erase", "fit", "export", "pipeline", "api", "commands", "cli", "__main__"),
+    *("atlas", "bake", "erase", "fit", "export", "verify", "pipeline", "api", "commands", "cli", "__main__"),
 )
 ROOMS = {"runtime": RUNTIME, "preprocess": PREPROCESS}
 # What the offline tools may use of the runtime: files as they are, poses, and the codecs of a built folder.

@@ -10,11 +10,11 @@ import pytest
 
 from preprocess.decimate.measure import sample_mesh
 from preprocess.fit.weight_quadtree import sample_weights
-from preprocess.fit.weight_stack import unpack_weights
 from preprocess.mesh.closest_point import build_tree
 from preprocess.mesh.texels import sample_bilinear
 from runtime.animation.pose import sample, skinning_rows
 from runtime.asset.asset import Asset, load
+from runtime.asset.weight_stack import unpack_weights
 from runtime.gpu.textures import prepare
 
 NUM_SAMPLES = 2000

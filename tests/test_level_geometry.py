@@ -9,14 +9,12 @@ from preprocess.arrays import Floats
 from preprocess.bake.geometry import bake_surface_positions
 from preprocess.decimate import DecimateOptions, Lod, decimate
 from preprocess.decimate.measure import Reference, make_reference, measure
-from preprocess.fit.geometry_maps import store_positions, store_weights
 from preprocess.fit.level_geometry import fit_levels
 from preprocess.fit.stored_texture import StoredTexture
 from preprocess.fit.weight_quadtree import sample_weights
-from preprocess.fit.weight_stack import unpack_weights
-from preprocess.mesh.seams import find_seams
 from preprocess.mesh.surface import SkinnedMesh
 from preprocess.mesh.texels import sample_bilinear
+from runtime.asset.weight_stack import unpack_weights
 from tests.builders_decimate import box
 
 POSITION_PX, WEIGHTS_PX = 48, 16
@@ -56,12 +54,10 @@ def fitted() -> Fitted:
     """The mesh, what levels are measured against, the textures, the levels as decimated and as fitted."""
     mesh, poses = skinned_ball(), two_poses()
     blended = np.einsum("vj,pjik->pvik", mesh.dense_weights(2), poses[:, :, :3])
-    seams = find_seams(mesh.surface)
-    textures = [store_positions(mesh, seams, POSITION_PX), store_weights(mesh, seams, 2, WEIGHTS_PX)]
     surface_texture = bake_surface_positions(mesh, (256, 256))
     options = DecimateOptions(min_faces=40)
     lods = decimate(mesh.surface, options, position_texture=surface_texture, poses=blended).lods
-    textures, levels = fit_levels(mesh, textures, lods, poses)
+    textures, levels = fit_levels(mesh, lods, poses, POSITION_PX, WEIGHTS_PX)
     return mesh, make_reference(mesh.surface, blended), {t.name: t for t in textures}, lods, levels
 
 

@@ -24,7 +24,7 @@ def test_half_spheres_overlap_at_the_horizon(size: int) -> None:
     wanted = rng.normal(size=(500, 3))
     wanted[::2, 1] *= 1e-3
     wanted /= np.linalg.norm(wanted, axis=-1, keepdims=True)
-    place = wanted[:, [0, 2]] / (1 + np.abs(wanted[:, 1:2])) * REACH  # as light_place() in lighting.glsl
+    place = wanted[:, [0, 2]] / (1 + np.abs(wanted[:, 1:2])) * REACH  # as map_location() in lighting.glsl
     px = (place + 1) / 2 * size - 0.5
     assert px.min() > -1e-9 and px.max() < size - 1 + 1e-9
     corner = np.clip(np.floor(px).astype(int), 0, size - 2)

@@ -15,9 +15,9 @@ from runtime.gpu.environment_map import (
     LAST_STEP,
     MAP_HEIGHT,
     MAP_WIDTH,
-    STEPS_A_LEVEL,
-    light_map,
-    mirrored_light,
+    STEPS_PER_LEVEL,
+    prefiltered_map,
+    specular_radiance,
     tile_corner,
 )
 from runtime.gpu.frame_uniforms import FrameBlock
@@ -45,7 +45,7 @@ SHARE_PROBE = """
 #include "lighting.glsl"
 in vec2 picture_place;
 out vec4 result;
-void main() { result = vec4(reflected_share(picture_place.x * 0.5 + 0.5, picture_place.y * 0.5 + 0.5), 0.0, 1.0); }
+void main() { result = vec4(environment_brdf(picture_place.x * 0.5 + 0.5, picture_place.y * 0.5 + 0.5), 0.0, 1.0); }
 """
 TONE_PROBE = """
 #include "lighting.glsl"
@@ -55,7 +55,7 @@ out vec4 result;
 void main() {
     float hue = picture_place.x * 0.5 + 0.5;
     vec3 color = vec3(1.0, hue, hue * hue) * pow(10.0, mix(-3.0, exponent, picture_place.y * 0.5 + 0.5));
-    result = vec4(tone_map(color / sun_color.w), 1.0);
+    result = vec4(tone_map(color / exposure), 1.0);
 }
 """
 
@@ -127,12 +127,12 @@ def test_tiles_lie_apart_in_the_map() -> None:
 
 
 def test_steps_at_a_level_are_that_level(studio: Environment) -> None:
-    tiles = dict(mirrored_light(studio))
+    tiles = dict(specular_radiance(studio))
     assert list(tiles) == list(range(FIRST_STEP, LAST_STEP + 1))
     for level in (1, 2, 3):
-        assert np.array_equal(tiles[level * STEPS_A_LEVEL], studio.levels[level])
-    row, column, size = tile_corner(STEPS_A_LEVEL)
-    assert size == MAP_SIZE >> 1 and light_map(studio)[row, column] == pytest.approx(studio.levels[1][0, 0])
+        assert np.array_equal(tiles[level * STEPS_PER_LEVEL], studio.levels[level])
+    row, column, size = tile_corner(STEPS_PER_LEVEL)
+    assert size == MAP_SIZE >> 1 and prefiltered_map(studio)[row, column] == pytest.approx(studio.levels[1][0, 0])
 
 
 # The map's texels have nine bits: a value lies up to 1/512 of its largest channel beside the stored one, and llvmpipe

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import importlib
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from builders_erase import make_cube, paint
 from scipy import sparse
 
-from preprocess.bake.color_sizes import resampled_size
 from preprocess.erase import EraseOptions, erase_mips, plan_erasure
 from preprocess.erase.mips import is_crowded
 from preprocess.mesh.seams import find_seams
@@ -93,22 +91,3 @@ def test_chains_end_where_charts_are_less_than_a_texel(monkeypatch: pytest.Monke
     assert is_crowded(surface, seams, 32, 32)
     sizes = [level.texels.shape[0] for level in erase_mips(paint(128, 128), surface, seams, levels=255)]
     assert sizes == [128, 64]
-
-
-def test_automatic_sizes_know_bounds() -> None:
-    corners = np.array([[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], [[1.0, 1.0], [0.0, 1.0], [1.0, 0.0]]])
-
-    def sizes(scale: float, source: int) -> tuple[int, int]:
-        surface = SimpleNamespace(uvs=corners.reshape(-1, 2) * scale, face_uvs=np.arange(6).reshape(2, 3))
-        mesh = SimpleNamespace(
-            surface=surface, num_faces=2, corner_texcoords=corners[:, :, None], face_materials=np.zeros(2, int)
-        )
-        image = SimpleNamespace(texels=np.empty((source, source, 0)))
-        ref = SimpleNamespace(texcoord=0, image=image, transform=np.eye(3))
-        return resampled_size(mesh, [ref], True)  # type: ignore[arg-type, list-item]
-
-    assert sizes(1.0, 1024) == (1024, 1024)
-    assert sizes(0.5, 1024) == (2048, 2048)
-    assert sizes(0.25, 1024) == (2048, 4096)  # a sixteenth of the atlas is covered
-    assert sizes(1.0, 8192) == (4096, 8192)
-    assert sizes(1.0, 16) == (512, 512)

@@ -12,7 +12,7 @@ import pytest
 from builders_scene import Scene
 
 import runtime
-from runtime import validation as given
+from runtime import validation
 from runtime.errors import AssetError, RenderError
 
 NAN, INF = float("nan"), float("inf")
@@ -30,7 +30,7 @@ def test_time_that_is_none_is_told(actor: runtime.Actor, crowd: runtime.Crowd, s
     for who in (actor, crowd):
         refused(lambda who=who: who.update(step), "cannot be updated by .* seconds; check the frame clock")  # type: ignore[misc]
     refused(lambda: actor.model.mixer.note_time_all(step), "check the frame clock")
-    assert actor.time_s == 0.0 and crowd.stage.clock_s == 0.0
+    assert actor.time_s == 0.0 and crowd.state.clock_s == 0.0
 
 
 @pytest.mark.parametrize("step", [-0.25, 0, np.float32(0.125), 1e9, -1e9])
@@ -129,7 +129,7 @@ def test_a_crowd_needs_a_model_and_its_context(scene: Scene) -> None:
         refused(lambda arguments=arguments: runtime.Crowd(*arguments), "a crowd is made of", RenderError)  # type: ignore[misc]
     refused(lambda: runtime.Crowd(scene.ctx, scene.model, 3, clips="bend"), "clips must be a list")
     refused(lambda: runtime.Crowd(scene.ctx, scene.model, 3, clips=["bond"]), "did you mean 'bend'")
-    refused(lambda: runtime.Crowd(scene.ctx, scene.model, 3, places_bytes=-1), "places_bytes")
+    refused(lambda: runtime.Crowd(scene.ctx, scene.model, 3, vertex_animation_bytes=-1), "vertex_animation_bytes")
 
 
 @pytest.mark.parametrize(
@@ -165,18 +165,18 @@ def test_what_a_crowd_cannot_do_is_told_and_changes_nothing(
 ) -> None:
     crowd.play("bend", phases_s=np.arange(5.0))
     names = ("clips", "phases_s", "speeds", "visible", "tints", "_rows", "_positions")
-    before = [getattr(crowd.stage, name).copy() for name in names]
+    before = [getattr(crowd.state, name).copy() for name in names]
     refused(lambda: work(crowd), message)
     for name, value in zip(names, before):
-        np.testing.assert_array_equal(getattr(crowd.stage, name), value)
+        np.testing.assert_array_equal(getattr(crowd.state, name), value)
 
 
 def test_a_crowd_plays_names_numbers_and_clips(crowd: runtime.Crowd) -> None:
     bend, rest = 0, len(crowd.clip_names) - 1
     crowd.play(["bend", crowd.clip_names[rest]] * 2 + ["bend"])
-    assert crowd.stage.clips.tolist() == [bend, rest, bend, rest, bend]
+    assert crowd.state.clips.tolist() == [bend, rest, bend, rest, bend]
     crowd.play(crowd.model.mixer.clips[0], which=[1])
-    assert crowd.stage.clips.tolist() == [bend, bend, bend, rest, bend]
+    assert crowd.state.clips.tolist() == [bend, bend, bend, rest, bend]
     crowd.play(0, which=np.array([], dtype=int))
 
 
@@ -228,12 +228,12 @@ def test_a_path_is_told_from_what_is_none(tmp_path: Path) -> None:
 
 def test_names_are_suggested_and_lists_kept_short() -> None:
     names = [f"Walk_{index}" for index in range(40)]
-    assert str(given.no_such("clip", "walk_7", names, "character")).startswith(
+    assert str(validation.unknown_name("clip", "walk_7", names, "character")).startswith(
         "no clip 'walk_7'; did you mean 'Walk_7'"
     )
-    assert str(given.no_such("clip", "qqq", names, "character")).endswith("'Walk_11' and 28 more")
-    assert str(given.no_such("clip", "qqq", [], "character")) == "no clip 'qqq'; the character has none"
-    assert "Walking_A" in str(given.no_such("clip", "walk", ["Idle", "Walking_A"], "character"))
+    assert str(validation.unknown_name("clip", "qqq", names, "character")).endswith("'Walk_11' and 28 more")
+    assert str(validation.unknown_name("clip", "qqq", [], "character")) == "no clip 'qqq'; the character has none"
+    assert "Walking_A" in str(validation.unknown_name("clip", "walk", ["Idle", "Walking_A"], "character"))
 
 
 @pytest.mark.parametrize(

@@ -19,8 +19,9 @@ from preprocess.export.glb import screen_coverage, write_model_glb
 from preprocess.export.lod_vertices import build_lod_mesh, limit_influences
 from preprocess.export.materials import describe_material, plan_draws
 from preprocess.files.images import Image, write_image
-from preprocess.fit.corner_locations import face_components, locate_corners
+from preprocess.fit.corner_locations import locate_corners
 from preprocess.load import Character, Material, load_character
+from preprocess.mesh.grouping import connected_faces
 from preprocess.mesh.surface import TexturedSurface
 from runtime.animation.pose import sample, skinning_matrices
 from runtime.gltf.document import Document, read_document
@@ -336,7 +337,7 @@ def test_corners_are_found_where_they_were_put() -> None:
     rows = places.firsts
     found = np.einsum("rk,rkc->rc", places.barycentrics[rows], surface.positions[surface.faces[places.faces[rows]]])
     assert np.linalg.norm(found - positions, axis=1).max() < 1e-3 * surface.diagonal_m
-    component = face_components(surface.faces, len(surface.positions))
+    component = connected_faces(surface.faces, len(surface.positions))
     np.testing.assert_array_equal(component[places.faces[rows]], np.repeat(component[chosen], 3))
 
 

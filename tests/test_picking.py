@@ -118,7 +118,7 @@ def test_picking_leaves_everything_as_it_was(scene: Scene, crowd: runtime.Crowd)
     for things in ([actor, crowd], [], [crowd]):
         runtime.pick(scene.renderer, things, CAMERAS[0], (32, 24), SIZE)  # type: ignore[arg-type]
         assert driver_state(gl) == before and scene.ctx.fbo is scene.framebuffer
-    assert scene.renderer.last_drawn == drawn and (crowd.last_counts == counts).all() and crowd.stage.visible.all()
+    assert scene.renderer.last_drawn == drawn and (crowd.last_counts == counts).all() and crowd.state.visible.all()
     with pytest.raises(RenderError, match="only actors and crowds can be picked, not 5"):
         runtime.pick(scene.renderer, [5], CAMERAS[0], (32, 24), SIZE)  # type: ignore[list-item]
     with pytest.raises(ValueError, match="a point of the picture"):

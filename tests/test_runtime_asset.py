@@ -15,8 +15,8 @@ import pytest
 from builders_asset import build_ball, lod_mesh, weights_at
 
 from preprocess.files.images import Image, read_image, write_image
-from preprocess.fit.weight_stack import pack_weights, unpack_weights
 from runtime.asset.asset import load
+from runtime.asset.weight_stack import pack_weights, unpack_weights
 from runtime.errors import AssetError
 from runtime.gpu.weight_records import MORE_RECORDS, WeightCells, build_weight_cells
 

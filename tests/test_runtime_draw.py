@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,9 @@ from builders_asset import build_ball, surface_corners, weights_at
 from builders_scene import SIDE_PX, Scene
 
 import runtime
-from preprocess.fit.weight_stack import unpack_weights
 from preprocess.mesh.texels import sample_bilinear
 from runtime.asset.asset import Asset, load
+from runtime.asset.weight_stack import unpack_weights
 from runtime.errors import RenderError
 from runtime.gpu import gl_state
 from runtime.gpu.gl_state import saved_state
@@ -46,9 +47,9 @@ def test_every_view_draws_the_body_and_nothing_else(scene: Scene, view: str, tes
 def test_positions_follow_the_textures_to_float_rounding(scene: Scene, ball: Asset) -> None:
     """GPU positions against float64 skinning of the same texels, through the position picture of one flat view."""
     from runtime.gpu.gl_state import functions, saved_state
-    from runtime.gpu.lod_buffers import INSTANCE
     from runtime.gpu.programs import assemble
     from runtime.gpu.textures import TEXTURE_UNITS
+    from runtime.gpu.vertex_layout import ACTOR_INSTANCE
 
     ctx, model = scene.ctx, scene.model
     mesh = ball.lods[0]
@@ -62,7 +63,7 @@ def test_positions_follow_the_textures_to_float_rounding(scene: Scene, ball: Ass
             texture.use(TEXTURE_UNITS[name])
         rows = np.ascontiguousarray(actor.joint_rows[None], np.float32)
         model.joint_texture(rows).use(TEXTURE_UNITS["joint_texture"])
-        record = np.zeros(1, INSTANCE)
+        record = np.zeros(1, ACTOR_INSTANCE)
         record["rows"][:] = np.eye(4)[:3]
         model.levels.instance_buffer("test", record)
         out = ctx.buffer(reserve=12 * 3 * len(mesh.triangles))
@@ -276,11 +277,12 @@ def test_colour_curves_are_those_of_srgb(ctx: moderngl.Context) -> None:
 def test_what_a_material_lacks_is_left_out_unseen(scene: Scene, view: str, monkeypatch: pytest.MonkeyPatch) -> None:
     actor = scene.model.actor(clip="bend", time_s=0.25)
     lean = scene.picture([actor], view=view)
-    assert any("NO_CUTOUT" in key for key in scene.renderer._passes._programs)
-    scene.model.define_names.clear()
-    monkeypatch.setattr("runtime.render.passes.what_it_lacks", lambda model, material: model.channels.defines)
+    assert any("NO_ALPHA_TEST" in key[-1] for key in scene.renderer._passes._programs)
+    channels = scene.model.channels.defines
+    full = [replace(lod, ranges=[replace(part, defines=channels) for part in lod.ranges]) for lod in scene.model.lods]
+    monkeypatch.setattr(scene.model.levels, "lods", full)
     assert (scene.picture([actor], view=view) == lean).all()
-    assert any("NO_CUTOUT" not in key for key in scene.renderer._passes._programs)
+    assert any("NO_ALPHA_TEST" not in key[-1] for key in scene.renderer._passes._programs)
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32])

@@ -19,9 +19,18 @@ from runtime.asset.asset import Asset, load
 from runtime.errors import RenderError
 from runtime.gpu.model import Model
 from runtime.render.renderer import Renderer
-from runtime.scene.actor import joint_boxes_of
 from runtime.scene.camera import Camera, CameraMatrices, MatrixCamera
-from runtime.scene.lod_selection import HYSTERESIS, Quality, around_eye, choose_levels, measure
+from runtime.scene.lod_selection import (
+    HYSTERESIS,
+    NEAR_DEPTHS,
+    Quality,
+    around_eye,
+    carry_boxes,
+    carry_parts,
+    choose_levels,
+    largest_stretch,
+    measure,
+)
 
 SIDE_PX = 256
 ERRORS = np.array([0.0, 0.002, 0.01, 0.05, 0.2])
@@ -55,14 +64,17 @@ def bodies_of(boxes: np.ndarray, transforms: np.ndarray | None = None) -> Bodies
 
 
 def measured(bodies: Bodies, camera: CameraMatrices, size_px: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    return measure(bodies.parts, around_eye(camera.eye, bodies.transforms), camera, size_px)
+    rows = around_eye(camera.eye, bodies.transforms)
+    boxes = carry_boxes(*box_around(bodies.parts).transpose(1, 2, 0), rows.transpose(1, 2, 0))
+    stretch = largest_stretch(rows[:, :, :3])
+    return measure(boxes, stretch, camera, size_px, lambda near: carry_parts(bodies.parts[near], rows[near]))
 
 
 def in_view(bodies: Bodies, camera: CameraMatrices) -> np.ndarray:
     return measured(bodies, camera, (320, 200))[0]
 
 
-def pixels_a_metre(bodies: Bodies, camera: CameraMatrices, size_px: tuple[int, int]) -> np.ndarray:
+def pixels_per_metre(bodies: Bodies, camera: CameraMatrices, size_px: tuple[int, int]) -> np.ndarray:
     return measured(bodies, camera, size_px)[1]
 
 
@@ -82,7 +94,7 @@ def test_no_displacement_is_larger_on_the_screen_than_said() -> None:
         transform[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0] * rng.uniform(0.2, 3)
         box = np.sort(rng.normal(size=(1, 2, 3)), axis=1)
         body = bodies_of(box, transform[None])
-        allowed = pixels_a_metre(body, camera.matrices(width, height), (width, height))[0] * metres
+        allowed = pixels_per_metre(body, camera.matrices(width, height), (width, height))[0] * metres
         points = rng.uniform(box[0, 0], box[0, 1], (400, 3))
         moved = points + metres * (steps := rng.normal(size=(400, 3))) / np.linalg.norm(steps, axis=1, keepdims=True)
         a, b = (project(p @ transform[:3, :3].T, camera, width, height) for p in (points, moved))
@@ -101,7 +113,7 @@ def test_boxes_are_seen_and_measured_as_by_their_corners() -> None:
         box = np.sort(rng.normal(size=(1, 2, 3)), axis=1)
         matrices = camera.matrices(320, 200)
         body = bodies_of(box, transform[None])
-        scale_px = pixels_a_metre(body, matrices, (320, 200))[0]
+        scale_px = pixels_per_metre(body, matrices, (320, 200))[0]
         corners = box[0][picks, np.arange(3)] @ transform[:3, :3].T + transform[:3, 3]
         clip = (corners - matrices.eye) @ matrices.clip_from_world[:, :3].T + matrices.clip_from_world[:, 3]
         beyond = [(side * clip[:, axis] > clip[:, 3]).all() for axis in range(3) for side in (1, -1)]
@@ -113,7 +125,7 @@ def test_boxes_are_seen_and_measured_as_by_their_corners() -> None:
         stretch = np.linalg.norm(transform[:3, :3], 2)
         straight_on = stretch * matrices.projection[1, 1] * 100 / depth.min()
         assert straight_on <= scale_px * (1 + 1e-9)
-        widest = np.sqrt(1 + matrices.widest_sq) * np.sqrt(3)
+        widest = np.sqrt(1 + (1 / matrices.projection[[0, 1], [0, 1]] ** 2).sum()) * np.sqrt(3)
         assert scale_px <= straight_on * widest * (1 + 1e-9)
 
 
@@ -125,9 +137,9 @@ def test_parts_bound_their_hull_and_no_more_than_the_box() -> None:
         middles, reaches = rng.normal(size=(1, 5, 3)), rng.uniform(0.05, 0.3, (1, 5, 3))
         box = np.stack([(middles - reaches).min(axis=1), (middles + reaches).max(axis=1)], axis=1)
         matrices = camera.matrices(320, 200)
-        whole = pixels_a_metre(bodies_of(box), matrices, (320, 200))[0]
+        whole = pixels_per_metre(bodies_of(box), matrices, (320, 200))[0]
         boxes = upright(middles.transpose(0, 2, 1), reaches.transpose(0, 2, 1))
-        parts = pixels_a_metre(Bodies(boxes, np.eye(4)[None]), matrices, (320, 200))[0]
+        parts = pixels_per_metre(Bodies(boxes, np.eye(4)[None]), matrices, (320, 200))[0]
         assert parts <= whole * (1 + 1e-9)
         tighter.append(parts / whole if np.isfinite(whole) else 1.0)
         inside = middles[0] + reaches[0] * rng.uniform(-1, 1, (200, 5, 3))
@@ -144,20 +156,32 @@ def test_parts_bound_their_hull_and_no_more_than_the_box() -> None:
 def measured_by_corners(body: np.ndarray, transform: np.ndarray, camera: CameraMatrices) -> tuple[bool, float]:
     """The slow twin of `measure` for one actor, parts (3, 4, P), in a picture of 320 x 200."""
     signs = np.array([(*along, 1) for along in itertools.product((-1, 1), repeat=3)])
-    corners = np.einsum("ikp,ck->pci", body, signs)
-    view = (corners @ transform[:3, :3].T + transform[:3, 3] - camera.eye) @ camera.rotation.T
-    clip = view @ camera.projection[:, :3].T + camera.projection[:, 3]
-    beyond = [(side * clip[..., axis] > clip[..., 3]).all() for axis in range(3) for side in (1, -1)]
+    corners = np.einsum("ikp,ck->pci", body, signs).reshape(-1, 3)
+    whole = np.array(list(itertools.product(*np.stack([corners.min(axis=0), corners.max(axis=0)]).T)))
     linear = transform[:3, :3]
-    scale = np.sqrt(np.abs(linear.T @ linear).sum(axis=1).max())
-    scale *= max(camera.projection[0, 0] * 320, camera.projection[1, 1] * 200) / 2
-    if camera.projection[3, 2] == 0.0:
-        return not any(beyond), scale
-    depth, aside = -view[..., 2].max(axis=1), np.abs(view[..., :2]).max(axis=1)
-    if depth.min() <= 0:
-        return not any(beyond), np.inf
-    tangent_sq = ((aside / depth[:, None]) ** 2).sum(axis=1).max()
-    return not any(beyond), scale / depth.min() * np.sqrt(1 + min(tangent_sq, camera.widest_sq))
+    stretch = np.sqrt(np.abs(linear.T @ linear).sum(axis=1).max())
+    seen, size = True, np.inf
+    for points in (whole, corners):  # the box around all, and its parts where it is near
+        view = (points @ linear.T + transform[:3, 3] - camera.eye) @ camera.rotation.T
+        clip = view @ camera.projection[:, :3].T + camera.projection[:, 3]
+        by_part = clip.reshape(-1, 8, 4)
+        seen = not any((side * by_part[..., k] > by_part[..., 3]).all() for k in range(3) for side in (1, -1))
+        depth = clip[:, 3]
+        if depth.min() <= 0:
+            size = np.inf
+        else:
+            ends = [[-1.0, 1.0], [-1.0, 1.0]]
+            for axis, side in itertools.product((0, 1), (0, 1)):
+                sign = 2 * side - 1
+                far = [(sign * part[:, axis]).max() for part in by_part]
+                by_depth = [far_x / (w.min() if far_x > 0 else w.max()) for far_x, w in zip(far, by_part[..., 3])]
+                ends[axis][side] = sign * np.clip(max(by_depth), -1, 1)
+            rows = camera.clip_from_world[:, :3]
+            ways = [[160 * (rows[0] - x * rows[3]), 100 * (rows[1] - y * rows[3])] for x in ends[0] for y in ends[1]]
+            size = stretch * np.linalg.norm(ways, 2, axis=(1, 2)).max() / depth.min()
+        if not seen or (0 < depth.min() and depth.max() <= NEAR_DEPTHS * depth.min()):
+            break
+    return seen, size
 
 
 @pytest.mark.parametrize("perspective", [True, False])
@@ -166,10 +190,12 @@ def test_many_bodies_are_measured_as_one_by_one_by_their_corners(perspective: bo
     num_seen = 0
     for camera in random_cameras(40, seed=22):
         matrices = camera.matrices(320, 200)
+        projection = matrices.projection.copy()
+        projection[:2, 2] = rng.normal(size=2) / 2  # off centre
         if not perspective:
             projection = np.diag([*rng.uniform(0.1, 1, 2), -0.1, 1.0])
             projection[:3, 3] = rng.normal(size=3) / 2
-            matrices = CameraMatrices(matrices.eye, matrices.rotation, projection)
+        matrices = CameraMatrices(matrices.eye, matrices.rotation, projection)
         transforms = rng.normal(size=(6, 4, 4))  # the last row says nothing
         transforms[:, :3, 3] *= 4
         parts = rng.normal(size=(6, 3, 4, 5)) * 0.2  # turned, and sheared
@@ -177,7 +203,7 @@ def test_many_bodies_are_measured_as_one_by_one_by_their_corners(perspective: bo
         seen, scale_px = measured(Bodies(parts, transforms), matrices, (320, 200))
         wanted = [measured_by_corners(body, where, matrices) for body, where in zip(parts, transforms)]
         assert seen.tolist() == [one for one, _ in wanted]
-        np.testing.assert_allclose(scale_px, [one for _, one in wanted], rtol=1e-9)
+        np.testing.assert_allclose(scale_px[seen], [size for one, size in wanted if one], rtol=1e-9)
         num_seen += sum(seen)
     assert 40 < num_seen < 200
 
@@ -215,7 +241,7 @@ def test_what_is_behind_or_aside_is_culled() -> None:
 def test_orthographic_cameras_measure_without_distance() -> None:
     camera = MatrixCamera(np.eye(4), np.diag([0.5, 0.5, -0.1, 1.0])).matrices(100, 100)
     box = np.array([[[-1, -1, -9], [1, 1, -1]]], float)
-    assert pixels_a_metre(bodies_of(box), camera, (100, 100))[0] == pytest.approx(25.0)
+    assert pixels_per_metre(bodies_of(box), camera, (100, 100))[0] == pytest.approx(25.0)
 
 
 def test_levels_are_monotonic_and_under_the_threshold() -> None:
@@ -339,7 +365,7 @@ def test_preferred_tessellation_is_rounder_and_calm(ctx: moderngl.Context, ball:
 
 
 @pytest.mark.parametrize(
-    "how", [{"threshold_px": 0.0}, {"segment_px": -1.0}, {"texels_a_segment": np.nan}, {"prefer": "magic"}]
+    "how", [{"threshold_px": 0.0}, {"segment_px": -1.0}, {"texels_per_segment": np.nan}, {"prefer": "magic"}]
 )
 def test_qualities_that_make_no_sense_are_named(how: dict[str, Any]) -> None:
     with pytest.raises(RenderError, match=f"quality: .*{next(iter(how)).split('_')[0][:6]}"):
@@ -367,7 +393,7 @@ def test_drawn_levels_are_remembered_per_actor(ctx: moderngl.Context, ball: Asse
 def test_bounds_hold_every_vertex_of_every_moment(ctx: moderngl.Context, ball: Asset) -> None:
     model = Model(ctx, ball)
     mesh = ball.lods[0]
-    from preprocess.fit.weight_stack import unpack_weights
+    from runtime.asset.weight_stack import unpack_weights
 
     rest = sample_bilinear(ball.textures["position"].levels[0], mesh.canonical_uvs)
     stored = unpack_weights(ball.textures["weights"].levels[0], ball.weight_size, ball.num_joints)
@@ -376,6 +402,6 @@ def test_bounds_hold_every_vertex_of_every_moment(ctx: moderngl.Context, ball: A
         rows = model.actor(clip="bend", time_s=float(time_s)).joint_rows[None].astype(float)
         blended = np.einsum("vj,jrc->vrc", weights, rows[0])
         positions = np.einsum("vrc,vc->vr", blended[:, :, :3], rest) + blended[:, :, 3]
-        low, high = pose_bounds(rows, joint_boxes_of(model))[0]
+        low, high = pose_bounds(rows, model.joint_boxes.boxes)[0]
         assert (positions >= low - 1e-5).all() and (positions <= high + 1e-5).all()
     model.release()

@@ -16,18 +16,18 @@ from builders_scene import SIDE_PX
 
 from benchmarks._points import MIN_VERSION_CODE, PointCapture
 from preprocess.fit.weight_quadtree import sample_weights
-from preprocess.fit.weight_stack import unpack_weights
 from preprocess.mesh.texels import sample_bilinear
 from runtime.animation.dual_quaternions import joint_texels, quaternion_product
 from runtime.animation.pose import sample, skinning_rows
 from runtime.asset.asset import Asset, load
+from runtime.asset.weight_stack import unpack_weights
 from runtime.gpu.gl_state import functions, saved_state
-from runtime.gpu.lod_buffers import INSTANCE
 from runtime.gpu.model import Model
 from runtime.gpu.patch_validation import divided_patches
 from runtime.gpu.patches import EDGES, corner_uvs
 from runtime.gpu.programs import assemble
 from runtime.gpu.textures import TEXTURE_UNITS, prepare
+from runtime.gpu.vertex_layout import ACTOR_INSTANCE
 from runtime.render.renderer import SKINNING
 from runtime.scene.camera import framing
 
@@ -109,7 +109,7 @@ def diagonal_of(asset: Asset) -> float:
 def captured_vertices(model: Model, twin: Twin, level: int) -> tuple[np.ndarray, np.ndarray]:
     """Positions and normal matrices of a level's triangles, corner by corner, from the vertex shader."""
     ctx, mesh = model.ctx, model.lods[level].mesh
-    defines = {**SKINNING[twin.skinning], **model.shader_defines, **model.lods[level].uv_defines}
+    defines = {**SKINNING[twin.skinning], **dict(model.lods[level].program_defines)}
     text = assemble("static.vert", ctx.version_code, defines).text
     program = ctx.program(vertex_shader=text, varyings=["surface_position", "surface_normal_matrix"])
     joints = joint_texels(twin.rows[None]) if twin.skinning != "linear" else twin.rows[None].astype(np.float32)
@@ -121,7 +121,7 @@ def captured_vertices(model: Model, twin: Twin, level: int) -> tuple[np.ndarray,
         for name, texture in model.textures.items():
             texture.use(TEXTURE_UNITS[name])
         model.joint_texture(np.ascontiguousarray(joints)).use(TEXTURE_UNITS["joint_texture"])
-        record = np.zeros(1, INSTANCE)
+        record = np.zeros(1, ACTOR_INSTANCE)
         record["rows"][:] = np.eye(4)[:3]
         model.levels.instance_buffer("twin", record)
         out = ctx.buffer(reserve=4 * 12 * 3 * len(mesh.triangles))

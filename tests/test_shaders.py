@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
+import tomllib
 from pathlib import Path
 
 import moderngl
@@ -10,7 +13,9 @@ import numpy as np
 import pytest
 
 from preprocess.mesh.texels import bilinear_stencil, sample_bilinear, uv_to_px
+from runtime.asset.lod_mesh import UV_STEPS
 from runtime.errors import RenderError
+from runtime.gpu.frame_uniforms import FRAME
 from runtime.gpu.gl_state import SHADER_STAGES, compile_shader, functions
 from runtime.gpu.programs import assemble, build_program, require_version
 from runtime.render.passes import PATCH_STAGES
@@ -30,12 +35,13 @@ VARIANTS: dict[str, list[dict[str, str | int]]] = {
     "patch.tesc": [{}, {"DUAL_QUATERNIONS": 1}],
     "attributes.vert": [BLOCK],
     "layouts.vert": [{"LAYOUT_LISTS": 1, "LISTS": 2}, {"LAYOUT_DENSE": 1, "LAYERS": 14}],
-    "crowd.vert": [{}, {"EIGHT_JOINTS": 1}, {"PLACED": 1}, {"SHOW_WEIGHTS": 1}],
+    "crowd.vert": [{}, {"EIGHT_JOINTS": 1}, {"VERTEX_ANIMATION": 1}, {"SHOW_WEIGHTS": 1}],
 }
-NORMALS, STEPS, WIDE = {"NORMAL_UV": 1}, {"UV_STEPS": 1, "CANONICAL_STEPS": 1, "POSITION_WORDS": 1}, {"WIDE_JOINTS": 1}
-SOLID = {"NO_CUTOUT": 1, "NO_BLEND": 1, "NO_EMISSION": 1}
+NORMALS = {"NORMAL_UV": UV_STEPS}
+STEPS, WIDE = {"UV_STEPS": UV_STEPS, "CANONICAL_STEPS": UV_STEPS, "POSITION_WORDS": 1}, {"WIDE_JOINTS": 1}
+SOLID = {"NO_ALPHA_TEST": 1, "NO_BLEND": 1, "NO_EMISSION": 1}
 LACKS = [
-    {"NO_CUTOUT": 1},
+    {"NO_ALPHA_TEST": 1},
     {"UNLIT": 1, "NO_BLEND": 1},
     {**SOLID, "ONE_SIDED": 1, "FLOAT_NORMALS": 1},
     {**SOLID, "NO_ORM": 1, "ROUGHNESS_IN_COLOR": 1, "METALLIC_IN_NORMAL": 1, "NO_OCCLUSION": 1},
@@ -180,3 +186,45 @@ def test_unused_shader_files_do_not_exist() -> None:
         assert f'"{path.name}"' in sources or f'"include/{path.name}"' in sources, path.name
     for name in STAGE_FILES:
         assert f'"{name}"' in sources, name
+
+
+STD140 = {"float": (4, 4), "vec2": (8, 8), "vec3": (16, 12), "mat4": (16, 64)}  # alignment and size, bytes
+
+
+def test_the_frame_block_has_the_members_of_its_dtype() -> None:
+    """Names in order, and offsets by the rules of std140 (OpenGL 4.1, section 2.11.4)."""
+    block = re.search(r"uniform Frame \{(.*?)\};", (SHADERS / "include/frame.glsl").read_text(), re.S)
+    assert block is not None
+    members = re.findall(r"^\s*(\w+) (\w+);", block[1], re.M)
+    end, offsets = 0, {}
+    for kind, name in members:
+        alignment, size = STD140[kind]
+        offsets[name] = -(-end // alignment) * alignment
+        end = offsets[name] + size
+    assert FRAME.fields is not None and FRAME.names == tuple(offsets)
+    assert {name: FRAME.fields[name][1] for name in offsets} == offsets
+    assert FRAME.itemsize == -(-end // 16) * 16
+
+
+def test_a_games_own_shaders_and_demos_break_nothing(tmp_path: Path) -> None:
+    """They lie before ours on the way that Python looks for modules."""
+    (tmp_path / "shaders.py").write_text("raise SystemExit('the shaders of a game')")
+    (tmp_path / "demos").mkdir()
+    (tmp_path / "demos" / "__init__.py").write_text("raise SystemExit('the demos of a game')")
+    code = (
+        f"import sys; sys.path[:0] = [{str(tmp_path)!r}]; sys.path.append({str(SHADERS.parent)!r})\n"
+        "import runtime.crowd.crowd, runtime.render.renderer\n"
+        "from runtime.gpu.programs import assemble; print(len(assemble('lit.frag', 410).files))"
+    )
+    done = subprocess.run([sys.executable, "-P", "-c", code], cwd=tmp_path, env={}, capture_output=True, text=True)
+    assert done.returncode == 0 and int(done.stdout) > 1, done.stderr
+
+
+def test_shaders_lie_in_the_runtime_where_it_is_installed() -> None:
+    """The wheel's layout, as setuptools is told it; every kind of file that there is goes along."""
+    settings = tomllib.loads((SHADERS.parent / "pyproject.toml").read_text())["tool"]["setuptools"]
+    assert settings["package-dir"] == {"runtime.shaders": "shaders"} and "runtime.shaders" in settings["packages"]
+    patterns = settings["package-data"]["runtime.shaders"]
+    for path in (path for path in SHADERS.rglob("*.*") if "__pycache__" not in path.parts):  # of older checkouts
+        assert any(path.relative_to(SHADERS).match(pattern) for pattern in patterns), path
+    assert not list(SHADERS.rglob("*.py"))

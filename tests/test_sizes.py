@@ -6,17 +6,20 @@ import numpy as np
 import pytest
 
 from preprocess.arrays import Floats
-from preprocess.fit.position_sizes import (
-    GEOMETRY_SIZES_PX,
+from preprocess.bake.geometry import vertex_values
+from preprocess.fit.positions import (
+    SIZES_PX,
     STRIDE,
-    WEIGHT_SIZES_PX,
     Positions,
+    deviation_rms,
+    fit_positions,
+    points_along_seams,
     smallest_positions,
-    stray_rms,
-    weight_side,
 )
-from preprocess.mesh.surface import TexturedSurface
-from preprocess.mesh.texels import px_to_uv
+from preprocess.fit.weight_map import WEIGHT_SIZES_PX, weight_side
+from preprocess.mesh.seams import find_seams
+from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
+from preprocess.mesh.texels import px_to_uv, sample_bilinear
 
 
 def a_square(height_m: float = 0.0) -> TexturedSurface:
@@ -34,62 +37,82 @@ def flat_texels(side: int, offset_m: float = 0.0) -> Floats:
     return np.c_[(uvs - 0.1) / 0.8, np.full(len(uvs), offset_m)].reshape(side, side, 3)
 
 
-def test_stray_is_the_distance_between_vertices() -> None:
+def test_deviation_is_the_distance_between_vertices() -> None:
     surface = a_square()
-    assert stray_rms(flat_texels(32), surface) < 1e-12
-    assert np.isclose(stray_rms(flat_texels(32, 0.25), surface), 0.25)
+    assert deviation_rms(flat_texels(32), surface) < 1e-12
+    assert np.isclose(deviation_rms(flat_texels(32, 0.25), surface), 0.25)
     lifted_m = 1e-3  # one of two faces, at places where that corner counts 2, 1, 1 and 4 sixths
     expected = lifted_m * np.sqrt((4 + 1 + 1 + 16) / 36 / 4 / 2)
-    assert np.isclose(stray_rms(flat_texels(32), a_square(lifted_m)), expected, rtol=1e-5)
+    assert np.isclose(deviation_rms(flat_texels(32), a_square(lifted_m)), expected, rtol=1e-5)
+
+
+def search(num_vertices: int, least: int) -> tuple[int, list[int]]:
+    """The side found where all from a certain one are good, and the sides tried."""
+    tried: list[int] = []
+
+    def fit(side: int) -> Positions:
+        tried.append(side)
+        return Positions(np.zeros((side, 1, 3)), np.zeros((side, 1, 3)))
+
+    found = smallest_positions(num_vertices, fit, lambda positions: len(positions.fitted) >= least)
+    return len(found.fitted), tried
 
 
 def test_the_first_good_size_is_taken() -> None:
-    surface, tried = a_square(), []
-
-    def bake(side: int) -> Positions:
-        tried.append(side)
-        return Positions(flat_texels(side), flat_texels(side, 0.0 if side >= 80 else 0.05), 0.0)
-
-    positions = smallest_positions(surface, surface.positions, bake)
-    assert tried == [48, 64, 80, 72, 76]
-    assert positions.baked.shape == positions.erased.shape == (80, 80, 3)
+    assert search(700, 80) == (80, [48, 64, 80, 72, 76])
 
 
-def test_open_seams_ask_for_more_texels() -> None:
-    surface = a_square()
-
-    def bake(side: int) -> Positions:
-        return Positions(flat_texels(side), flat_texels(side), 1e-3 if side < 192 else 1e-5)
-
-    assert smallest_positions(surface, surface.positions, bake).erased.shape[0] == 192
+@pytest.mark.parametrize("least", [side for side in SIZES_PX if 128 <= side <= 640])
+def test_the_smallest_good_size_is_found_with_few_more_tries_than_steps(least: int) -> None:
+    found, tried = search(int(least**2 / 10), least)
+    assert found == least
+    assert len(tried) <= SIZES_PX.index(least) / STRIDE + 4
 
 
-@pytest.mark.parametrize("least", GEOMETRY_SIZES_PX)
-def test_the_smallest_good_size_is_found(least: int) -> None:
-    """Where all larger sizes are good too; with few more tries than steps."""
-    square, tried = a_square(), []
-    positions = np.r_[np.zeros((4, 3)), np.ones((1, 3))]  # all in one place, but for one that no face has
-    surface = TexturedSurface(positions, square.faces, square.uvs, square.face_uvs)
-
-    def bake(side: int) -> Positions:
-        tried.append(side)
-        return Positions(np.zeros((1, side, 3)), np.zeros((1, side, 3)), 0.0 if side >= least else 1.0)
-
-    found = smallest_positions(surface, np.zeros((4, 3)), bake)
-    assert found.erased.shape[1] == least
-    assert len(tried) <= GEOMETRY_SIZES_PX.index(least) / STRIDE + 4
+def test_sizes_go_by_the_vertices() -> None:
+    """Neither what cannot hold them is tried, nor maps of a thousand texels a side for a few thousand of them."""
+    assert search(10_000, 0)[1] == [176]
+    assert search(2_770, 5_000)[0] <= np.sqrt(48 * 2_770)
+    assert search(4, 5_000)[0] == SIZES_PX[0]
+    assert search(10_000_000, 0)[0] == SIZES_PX[-1]
 
 
-def test_dense_meshes_do_not_try_what_cannot_hold_them() -> None:
-    surface, tried = a_square(), []
-    many = TexturedSurface(surface.positions, surface.faces, np.tile(surface.uvs, (2500, 1)), surface.face_uvs)
+def a_bent_strip() -> SkinnedMesh:
+    """Two squares that meet at a right angle, charts of their own that touch in the atlas, as cards do."""
+    positions = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (1, 0, 1), (1, 1, 1)], np.float64)
+    faces = np.array([(0, 1, 2), (0, 2, 3), (1, 4, 5), (1, 5, 2)], np.int32)
+    uvs = np.array([(0, 0), (0.5, 0), (0.5, 1), (0, 1), (0.5, 0), (1, 0), (1, 1), (0.5, 1)], np.float64)
+    face_uvs = np.array([(0, 1, 2), (0, 2, 3), (4, 5, 6), (4, 6, 7)], np.int32)
+    surface = TexturedSurface(positions, faces, 0.05 + 0.9 * uvs, face_uvs)
+    return SkinnedMesh(
+        surface=surface,
+        corner_normals=np.tile((0.0, 0.0, 1.0), (4, 3, 1)),
+        corner_tangents=None,
+        corner_texcoords=np.zeros((4, 3, 0, 2)),
+        corner_colors=None,
+        joint_indices=np.zeros((6, 1), np.int32),
+        joint_weights=np.ones((6, 1)),
+        face_materials=np.zeros(4, np.int32),
+        face_parts=np.zeros(4, np.int32),
+        has_uvs=True,
+    )
 
-    def bake(side: int) -> Positions:
-        tried.append(side)
-        return Positions(flat_texels(side), flat_texels(side), 0.0)
 
-    smallest_positions(many, np.tile(surface.positions, (2500, 1)), bake)
-    assert tried == [176]  # 10,000 texture vertices
+def test_points_along_seams_lie_on_both_sides_and_on_the_surface() -> None:
+    surface = a_bent_strip().surface
+    uvs, positions = points_along_seams(surface, find_seams(surface), 64)
+    one, other = np.split(positions, 2)
+    np.testing.assert_array_equal(one, other)
+    assert (one[:, 0] == 1.0).all() and (np.diff(np.sort(one[:, 1])) < 1.01 / 57).all()
+    np.testing.assert_allclose(uvs[:, 0], 0.5)
+
+
+def test_positions_stay_within_the_surface_box_and_are_right_at_vertices() -> None:
+    mesh = a_bent_strip()
+    found = fit_positions(mesh, find_seams(mesh.surface)).fitted
+    assert found.min() >= -0.05 * np.sqrt(3) and found.max() <= 1 + 0.05 * np.sqrt(3)
+    wanted = vertex_values(mesh, mesh.surface.positions)
+    assert np.abs(sample_bilinear(found, mesh.surface.uvs) - wanted).max() < 1e-3
 
 
 def test_weight_maps_grow_with_the_vertices() -> None:

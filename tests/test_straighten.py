@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from preprocess.errors import InputError
+from preprocess.mesh.edges import chart_of_faces
 from preprocess.mesh.seams import find_seams
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.straighten import straighten
 from preprocess.straighten.chains import find_chains
 from preprocess.straighten.driver import Straightened
 from preprocess.straighten.overlap import find_meeting_segments
-from preprocess.straighten.remap import chart_of_faces
 from preprocess.straighten.runs import run_segments
 from preprocess.straighten.simplify import chain_extents_uv, joint_points, run_ends
 from tests.builders_straighten import moebius, random_charts, ring_in_square, tube, two_charts, weld_uvs, with_dart

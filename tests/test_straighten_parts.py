@@ -14,13 +14,14 @@ import pytest
 from preprocess.__main__ import main
 from preprocess.files.images import Image, read_image, write_image
 from preprocess.files.obj import read_obj, write_obj
+from preprocess.mesh.edges import chart_of_faces
 from preprocess.mesh.seams import find_seams
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.mesh.texels import sample_bilinear
 from preprocess.straighten import straighten
 from preprocess.straighten.chains import Chains, find_chains
 from preprocess.straighten.overlap import find_meeting_segments, find_swept_runs
-from preprocess.straighten.remap import AREA_WEIGHT, _energy, chart_of_faces, find_rest_shapes, relative_areas
+from preprocess.straighten.remap import AREA_WEIGHT, _energy, find_rest_shapes, relative_areas
 from preprocess.straighten.simplify import simplify_chains, straight_points
 from preprocess.straighten.warp import find_warp
 from tests.builders_straighten import moebius, ring_in_square, tube, two_charts, with_dart

@@ -11,7 +11,7 @@ from preprocess.fit.uv_quantisation import snap_levels, snap_mesh
 from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
 from preprocess.mesh.texels import UV_STEPS
 from runtime.asset.lod_mesh import LodMesh
-from runtime.gpu.lod_buffers import vertex_attributes, vertex_bytes
+from runtime.gpu.vertex_layout import uv_attributes, vertex_bytes
 
 CORNERS = np.array([(0.1, 0.2), (0.9, 0.2), (0.4, 0.8), (0.1 + 1e-6, 0.7)])
 FACES = np.array([(0, 1, 2), (0, 2, 3)], np.int32)
@@ -95,14 +95,14 @@ def test_a_vertex_takes_eight_bytes_in_steps_and_sixteen_in_floats() -> None:
         ("none", coarse, coarse),
     ]:
         level = dataclasses.replace(own, canonical_uvs=owner.canonical_uvs)
-        attributes = vertex_attributes([level])
+        attributes = uv_attributes([level])
         content = vertex_bytes(level, attributes)
-        assert [attribute for _, attribute in attributes] == [
+        assert [attribute.name for attribute in attributes] == [
             "in_uv_steps" if own is fine else "in_uv",
             "in_canonical_steps" if owner is fine else "in_canonical_uv",
         ]
         sizes[name] = len(content) // len(CORNERS)
-        assert vertex_attributes([fine, level]) == attributes  # all levels of a model are alike
+        assert uv_attributes([fine, level]) == attributes  # all levels of a model are alike
     assert sizes == {"steps": 8, "owner": 12, "own": 12, "none": 16}
-    steps = np.frombuffer(vertex_bytes(fine, vertex_attributes([fine])), np.uint16).reshape(-1, 4)
+    steps = np.frombuffer(vertex_bytes(fine, uv_attributes([fine])), np.uint16).reshape(-1, 4)
     assert np.array_equal((steps / UV_STEPS).astype(np.float32), np.c_[fine.uvs, fine.canonical_uvs])

@@ -75,9 +75,17 @@ with Window("test", options.size) as window:
     viewer.drop([sys.argv[0]])
     assert viewer.model.asset.name == "other"
     frames(1)
+    # The folder is built anew: the viewer shows it from where it stood.
+    import shutil
+    eye = viewer.orbit.camera().eye
+    shutil.copytree(sys.argv[1], sys.argv[2], dirs_exist_ok=True)
+    shutil.copystat(sys.argv[0] if Path(sys.argv[0]).exists() else sys.executable, Path(sys.argv[2]) / "manifest.json")
+    for _ in range(130): viewer.look_for_changes(0.01)
+    assert viewer.model.asset.name == "ball", viewer.model.asset.name
+    assert np.array_equal(eye, viewer.orbit.camera().eye)
     viewer.key("p")
     frames(1)
-    assert Path("other-1.png").is_file()
+    assert Path("ball-1.png").is_file()
     assert window.ctx.error == "GL_NO_ERROR"
     viewer.release()
 print("looked")
@@ -99,7 +107,7 @@ def test_the_panel_draws_acts_and_hides(display: str, tmp_path: Path) -> None:  
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=240, env=environment)
     assert done.returncode == 0 and "looked" in done.stdout, done.stdout + done.stderr
     told = [line for line in done.stderr.splitlines() if line.startswith("viewer:")]
-    assert len(told) == 2 and "other-1.png" in told[1]
+    assert len(told) == 2 and "ball-1.png" in told[1]
 
 
 @pytest.mark.parametrize("heading,height", [(0, 0), (120, 30), (-75, -60), (10, 89)])

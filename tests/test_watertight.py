@@ -15,11 +15,11 @@ from benchmarks._points import MIN_VERSION_CODE, PointCapture, differing_points
 from runtime.asset.asset import Asset, load
 from runtime.asset.lod_mesh import LodMesh
 from runtime.gpu.gl_state import saved_state
-from runtime.gpu.lod_buffers import INSTANCE
 from runtime.gpu.model import Model
 from runtime.gpu.patches import build_patches
 from runtime.gpu.programs import assemble
 from runtime.gpu.textures import TEXTURE_UNITS
+from runtime.gpu.vertex_layout import ACTOR_INSTANCE
 from runtime.render.renderer import Renderer
 from runtime.scene.camera import Camera
 
@@ -195,7 +195,7 @@ def test_static_copies_are_the_same_bits(ctx: moderngl.Context, ball: Asset) -> 
         texture.use(TEXTURE_UNITS[name])
     actor = model.actor(clip="bend", time_s=0.2)
     model.joint_texture(np.ascontiguousarray(actor.joint_rows[None], np.float32)).use(TEXTURE_UNITS["joint_texture"])
-    record = np.zeros(1, INSTANCE)
+    record = np.zeros(1, ACTOR_INSTANCE)
     record["rows"][:] = np.eye(4)[:3]
     model.levels.instance_buffer("test", record)
     array = model.levels.vertex_array(("test",), "test", program, 0, "triangles")

@@ -16,7 +16,6 @@ from preprocess.fit.weight_quadtree import (
     pose_moves,
     sample_weights,
 )
-from preprocess.fit.weight_stack import pack_weights, unpack_weights
 from preprocess.mesh.texels import sample_bilinear
 from runtime.asset.texel_footprint import touched_cells
 from runtime.asset.weight_quadtree import (
@@ -27,6 +26,7 @@ from runtime.asset.weight_quadtree import (
     pack_details,
     unpack_details,
 )
+from runtime.asset.weight_stack import pack_weights, unpack_weights
 from runtime.errors import AssetError
 from runtime.gpu.weight_records import MORE_RECORDS, RECORDS_WIDTH, WeightCells, build_weight_cells
 

@@ -1,13 +1,22 @@
-"""What an atlas is worth: stretch, coverage, the share of its seams that can collapse."""
+"""What an atlas is worth: texels everywhere, stretch, coverage, the share of its seams that can collapse."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
 from preprocess.arrays import Floats
-from preprocess.mesh.edges import face_frames
+from preprocess.atlas.distortion import singular_values, turned_areas
+from preprocess.atlas.flatten import local_triangles
+from preprocess.atlas.source_charts import LEAST_DENSITY, MOST_STRETCH
+from preprocess.mesh.face_geometry import face_frames
 from preprocess.mesh.seams import find_seams
 from preprocess.mesh.surface import TexturedSurface
+
+QUANTILES = (0.001, 0.01, 0.5, 0.99, 0.999)
+PICTURE_PX = 1024
+"""The largest side of the character's box in the picture whose pixels say which faces can be seen."""
 
 STRAIGHT_REL = 1e-7
 """Sine of the turn, and relative difference of length ratios, up to which seam edges count as one straight run."""
@@ -53,6 +62,56 @@ def measure_stretch(surface: TexturedSurface) -> tuple[float, float]:
     uv_per_m = np.sqrt(0.5 * np.abs(double[real]).sum() / total_m2)
     l2 = np.sqrt((0.5 * (a + c) * area_m2)[real].sum() / total_m2) * uv_per_m
     return float(l2), float(np.sqrt(largest_sq[real].max()) * uv_per_m)
+
+
+def measure_texels(surface: TexturedSurface, size_px: int) -> dict[str, Any]:
+    """Whether every part of the surface has its texels, at the size that textures will have.
+
+    Parameters
+    ----------
+    surface : TexturedSurface
+        With the uvs as they are stored.
+    size_px : int
+        Side of the largest texture.
+
+    Returns
+    -------
+    dict
+        `density`: texels a metre against the median, `stretch`: longer against shorter axis of a face's map, both as
+        quantiles by area. `sparse_area`, `stretched_area`: shares of the surface with under a quarter of the median, or
+        stretched more than 4 : 1. `sparse_faces`, `stretched_faces`: such faces that cover a pixel or more where the
+        whole character is 1024 pixels large. `thin_faces`: faces narrower than a texel.
+    """
+    flat = local_triangles(surface.positions, surface.faces)
+    uvs = surface.uvs[surface.face_uvs]
+    areas = turned_areas(flat)
+    largest, smallest = singular_values(flat, uvs)
+    density, stretch = np.sqrt(largest * smallest), largest / np.maximum(smallest, 1e-30)
+    density = density / max(_quantiles(density, areas, (0.5,))[0], 1e-300)
+    sparse, stretched = density < LEAST_DENSITY, stretch > MOST_STRETCH
+    pixel_m = float(np.ptp(surface.positions[surface.faces.ravel()], axis=0).max()) / PICTURE_PX
+    seen = areas > pixel_m**2
+    longest = np.linalg.norm(uvs - np.roll(uvs, -1, axis=1), axis=2).max(axis=1)
+    width_px = 2.0 * np.abs(turned_areas(uvs)) / np.maximum(longest, 1e-30) * size_px
+    total = max(float(areas.sum()), 1e-300)
+    return {
+        "size_px": size_px,
+        "density": _quantiles(density, areas, QUANTILES),
+        "stretch": _quantiles(stretch, areas, QUANTILES),
+        "sparse_area": float(areas[sparse].sum()) / total,
+        "stretched_area": float(areas[stretched].sum()) / total,
+        "sparse_faces": int((sparse & seen).sum()),
+        "stretched_faces": int((stretched & seen).sum()),
+        "thin_faces": int((width_px < 1.0).sum()),
+    }
+
+
+def _quantiles(values: Floats, areas: Floats, shares: tuple[float, ...]) -> list[float]:
+    """Values that these shares of the area stay below."""
+    order = np.argsort(values)
+    total = np.cumsum(areas[order])
+    rows = np.searchsorted(total, np.asarray(shares) * total[-1])
+    return [float(v) for v in values[order][np.minimum(rows, len(order) - 1)]]
 
 
 def measure_coverage(surface: TexturedSurface) -> float:

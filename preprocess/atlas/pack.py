@@ -51,7 +51,7 @@ class Packing:
     rotation: Floats
     offset: Floats
 
-    def apply(self, points: Floats, charts: Ints) -> Floats:
+    def apply(self, points: Floats, charts: NDArray[np.integer]) -> Floats:
         """Place points (N, 2) that belong to charts (N,)."""
         turned = np.einsum("nij,nj->ni", self.rotation[charts], points)
         return self.scale[charts][:, None] * turned + self.offset[charts]

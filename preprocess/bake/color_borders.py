@@ -13,11 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.arrays import Floats
-from preprocess.bake.hard_edges import Bools, next_corners
+from preprocess.arrays import Bools, Floats
 from preprocess.bake.materials import base_colors_at
 from preprocess.load import Character
-from preprocess.mesh.edges import MeshEdges, find_edges
+from preprocess.mesh.edges import MeshEdges, find_edges, next_corners
 from preprocess.mesh.seams import Seams
 from preprocess.mesh.surface import SkinnedMesh
 
@@ -75,7 +74,6 @@ def find_color_borders(character: Character, mesh: SkinnedMesh, size_px: tuple[i
     """
     edges = find_edges(mesh.surface.faces)
     glued = np.flatnonzero(edges.glued)
-    following = next_corners(mesh.num_faces)
     shares = np.array([NEAR_ENDS, 0.5, 1.0 - NEAR_ENDS])
 
     def colors(halves: NDArray[np.integer], shares: Floats) -> Floats:
@@ -83,7 +81,7 @@ def find_color_borders(character: Character, mesh: SkinnedMesh, size_px: tuple[i
         rows = np.arange(len(halves))
         for number, share in enumerate(shares):
             barycentrics[rows, number, halves % 3] = 1.0 - share
-            barycentrics[rows, number, following[halves] % 3] = share
+            barycentrics[rows, number, next_corners(halves) % 3] = share
         faces = np.repeat(halves // 3, 3)
         return base_colors_at(character.materials, mesh, faces, barycentrics.reshape(-1, 3), size_px)
 

@@ -22,8 +22,6 @@ from preprocess.numerics.cholesky import factor_symmetric
 
 log = logging.getLogger(__name__)
 
-SWING, SWING_REACH_PX = 0.003, 3  # how far out of range erased weights are given up, and how far around
-SETTLING = 6  # alternations after that
 PROJECTIONS = 4  # alternations that keep weights non-negative; each halves what clipping costs at the vertices
 FIT_DAMPING = 1e-4  # relative to a stencil's own weight; vertices denser than texels then share the error
 
@@ -88,35 +86,6 @@ def bake_weights(mesh: SkinnedMesh, num_joints: int, size: tuple[int, int], proj
     return result
 
 
-def settle_weights(erased: Floats, baked: Floats, uvs: Floats, values: Floats) -> Floats:
-    """Bring erased weights back to partitions of unity that are right at the vertices.
-
-    Where weights fall from one to nothing within a texel, a seamless solution swings out of [0, 1], and cutting it off
-    moves vertices by centimetres. There the baked texels are better: the vertices are what is drawn, shared ones are
-    owned by one side, and a jump between them beside a seam is never seen as a crack.
-
-    Parameters
-    ----------
-    erased : (H, W, C) float64
-        Seamless, not quite within [0, 1].
-    baked : (H, W, C) float64
-        Partitions of unity, right at the vertices.
-    uvs : (N, 2) float64
-    values : (N, C) float64
-        Weights at the vertices.
-
-    Returns
-    -------
-    (H, W, C) float64
-    """
-    from scipy.ndimage import binary_dilation
-
-    swings = binary_dilation(erased.min(axis=2) < -SWING, iterations=SWING_REACH_PX)
-    texels = np.clip(np.where(swings[..., None], baked, erased), 0.0, None)
-    texels /= texels.sum(axis=2, keepdims=True)
-    return _project(texels, plan_fit(uvs, texels.shape[1], texels.shape[0]), values, SETTLING)
-
-
 def _project(texels: Floats, fit: Callable[[Floats, Floats], Floats], values: Floats, times: int) -> Floats:
     """Alternate between the vertices' values and partitions of unity."""
     for _ in range(times):
@@ -150,14 +119,16 @@ def fit_vertices(texels: Floats, uvs: Floats, values: Floats) -> Floats:
     return plan_fit(uvs, width, height)(texels, values)
 
 
-def plan_fit(uvs: Floats, width: int, height: int) -> Callable[[Floats, Floats], Floats]:
+def plan_fit(
+    uvs: Floats, width: int, height: int, damping: Floats | float = FIT_DAMPING
+) -> Callable[[Floats, Floats], Floats]:
     """`fit_vertices` for any number of textures of one size, factored once.
 
-    Minimises |δ|² + |W (p + δ) - v|² / damping, where W holds the bilinear stencils; solved in the space of the
-    points, (W Wᵀ + damping) λ = v - W p, δ = Wᵀ λ.
+    Minimises |δ|² + |W (p + δ) - v|² / damping, where W holds the bilinear stencils and the damping may differ from
+    point to point; solved in the space of the points, (W Wᵀ + damping) λ = v - W p, δ = Wᵀ λ.
     """
     stencil = stencil_matrix(uvs, width, height)
-    gram = (stencil @ stencil.T + FIT_DAMPING * sp.identity(len(uvs))).tocsc()
+    gram = (stencil @ stencil.T + sp.diags(np.broadcast_to(damping, len(uvs)))).tocsc()
     factor = factor_symmetric(gram)
 
     def fit(texels: Floats, values: Floats) -> Floats:

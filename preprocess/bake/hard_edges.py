@@ -17,14 +17,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.arrays import Floats, Indices, Ints
-from preprocess.mesh.edges import MeshEdges, cut_edges, find_edges
-from preprocess.mesh.grouping import join_pairs
+from preprocess.arrays import Bools, Floats, Indices, Ints
+from preprocess.mesh.edges import next_corners, pair_inside_charts
+from preprocess.mesh.face_geometry import doubled_signed_areas
+from preprocess.mesh.grouping import connected_groups
 from preprocess.mesh.seams import Seams
 from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
 from preprocess.mesh.texels import UV_STEPS, px_to_uv, uv_to_px
-
-Bools = NDArray[np.bool_]
 
 CREASE_RAD = np.radians(5.0)  # neighbours' normals at a shared corner that differ by more are meant to
 # A bilinear sample reaches |x| + |y| texels across an edge whose unit normal is (x, y). A little more covers the
@@ -60,21 +59,6 @@ class NormalUvs:
         return self.uvs[self.face_uvs]
 
 
-def pair_inside_charts(surface: TexturedSurface) -> Indices:
-    """The other half of every half-edge inside a chart, -1 on outlines, (3 F,) int64."""
-    edges: MeshEdges = find_edges(surface.faces)
-    halves = edges.halves[~cut_edges(edges, surface.face_uvs)].astype(np.int64)
-    twins = np.full(surface.faces.size, -1, np.int64)
-    twins[halves[:, 0]], twins[halves[:, 1]] = halves[:, 1], halves[:, 0]
-    return twins
-
-
-def next_corners(num_faces: int) -> Indices:
-    """The corner that follows each in its face, (3 F,) int64."""
-    corners = np.arange(3 * num_faces)
-    return corners // 3 * 3 + (corners + 1) % 3
-
-
 def find_hard_starts(corner_normals: Floats, twins: Indices, crease_rad: float = CREASE_RAD) -> Bools:
     """Half-edges at whose start the two faces have different normals, (3 F,) bool; none on outlines.
 
@@ -87,18 +71,18 @@ def find_hard_starts(corner_normals: Floats, twins: Indices, crease_rad: float =
         Angle above which normals differ.
     """
     normals = corner_normals.reshape(-1, 3)
-    across = next_corners(len(corner_normals))[twins]  # the corner of the other face at the same vertex
+    across = next_corners(twins)  # the corner of the other face at the same vertex
     gap = np.linalg.norm(normals - normals[across], axis=1)
     return (twins >= 0) & (gap > 2 * np.sin(crease_rad / 2))
 
 
 def _wanted_moves(fans: Indices, num_fans: int, hard: Bools, twins: Indices, corners_px: Floats) -> Floats:
     """How far each fan should move, texels, (G, 2): to the inset lines of its hard edges, in least squares."""
-    following = next_corners(len(corners_px) // 3)
+    following = next_corners(np.arange(len(corners_px)))
     along = corners_px[following] - corners_px
     length = np.linalg.norm(along, axis=1)
     triangles = corners_px.reshape(-1, 3, 2)
-    sides = np.repeat(np.sign(_doubled_areas(triangles)), 3)
+    sides = np.repeat(np.sign(doubled_signed_areas(triangles)), 3)
     inwards = np.stack([-along[:, 1], along[:, 0]], axis=1) * (sides / np.maximum(length, 1e-12))[:, None]
     starts = np.flatnonzero(hard & (length > 0))
     ends = np.flatnonzero((twins >= 0) & hard[twins] & (length > 0))
@@ -118,18 +102,12 @@ def _wanted_moves(fans: Indices, num_fans: int, hard: Bools, twins: Indices, cor
     return moves * np.minimum(1.0, MAX_MOVE_PX / np.maximum(size, MAX_MOVE_PX))
 
 
-def _doubled_areas(triangles: Floats) -> Floats:
-    """Twice the signed area of triangles (F, 3, 2)."""
-    first, second = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    return first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-
-
 def _shorten(moves: Floats, face_fans: Indices, triangles_px: Floats) -> Floats:
     """Moves of which no triangle turns over or loses most of its area."""
-    before = _doubled_areas(triangles_px)
+    before = doubled_signed_areas(triangles_px)
     shares = np.ones(len(moves))
     while True:
-        after = _doubled_areas(triangles_px + (moves * shares[:, None])[face_fans])
+        after = doubled_signed_areas(triangles_px + (moves * shares[:, None])[face_fans])
         crushed = after * np.sign(before) < LEAST_AREA_REL * np.abs(before)
         if not crushed.any():
             return moves * shares[:, None]
@@ -155,7 +133,7 @@ def move_from_creases(surface: TexturedSurface, twins: Indices, hard: Bools, siz
     NormalUvs
     """
     linked = np.flatnonzero((twins >= 0) & ~hard)
-    num_fans, fans = join_pairs(surface.faces.size, linked, next_corners(len(surface.faces))[twins[linked]])
+    num_fans, fans = connected_groups(surface.faces.size, linked, next_corners(twins[linked]))
     corners_px = uv_to_px(surface.uvs, *size_px)[surface.face_uvs.reshape(-1)]
     moves = _wanted_moves(fans, num_fans, hard, twins, corners_px)
     moves = _shorten(moves, fans.reshape(-1, 3), corners_px.reshape(-1, 3, 2))

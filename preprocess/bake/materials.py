@@ -7,15 +7,16 @@ and transforms; factors and vertex colours that differ over the surface are mult
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.arrays import Floats
-from preprocess.bake.color_sizes import MAX_SIZE_PX, resampled_size, transformed
+from preprocess.arrays import Floats, Singles
+from preprocess.atlas.chart_scales import MAX_SIZE_PX
+from preprocess.bake.color_sizes import color_side, transformed
 from preprocess.files.resample import sample_footprints
 from preprocess.files.srgb import linear_to_srgb, srgb_to_linear
 from preprocess.load.tangents import corner_tangents
@@ -25,8 +26,6 @@ from preprocess.mesh.texels import uv_to_px
 
 if TYPE_CHECKING:
     from preprocess.load import Character, Material, TextureRef
-
-Singles = NDArray[np.float32]
 
 POINTS_AT_A_TIME = 1 << 20
 
@@ -65,7 +64,7 @@ def bake_materials(
     resampled: bool,
     size_px: int | None,
     cover: Callable[[int, int], Coverage],
-    notes: list[str] | None = None,
+    sides: Mapping[str, int] | None = None,
 ) -> list[BakedTexture]:
     """Base colour, and occlusion-roughness-metallic and emissive where the character has them.
 
@@ -77,11 +76,11 @@ def bake_materials(
     resampled : bool
         Whether the atlas differs from the source's uvs.
     size_px : int or None
-        Side of the square textures; None: the source's texel density.
+        Side of the square textures; None: `sides`.
     cover : function (width, height) -> Coverage
         Rasterises the atlas.
-    notes : list of str, optional
-        Gets a line for each texture that is smaller than the source's texels would fill.
+    sides : dict of str to int, optional
+        By kind: `Atlas.sides`.
     """
     used = np.unique(mesh.face_materials)
     materials = character.materials
@@ -98,14 +97,7 @@ def bake_materials(
         if copied is not None:
             textures.append(BakedTexture(name, copied, "uint8", is_color, True))
             continue
-        side, wanted = size_px, size_px
-        if side is None:
-            side, wanted = resampled_size(mesh, [of(m) for m in materials], resampled)
-        if wanted is not None and side < wanted and notes is not None:
-            notes.append(
-                f"{name} is {side} x {side}: {wanted} x {wanted} would keep every texel of the source; "
-                f"--color-size {wanted} makes it so, at the cost of time and memory"
-            )
+        side = size_px or color_side(mesh, name, sides or {})
         texels, scale = _bake(mesh, materials, name, cover(side, side))
         textures.append(BakedTexture(name, texels, "uint8", is_color, False, scale))
     return textures

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.arrays import Floats
+from preprocess.mesh.face_geometry import face_areas
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.mesh.texels import uv_to_px
 
@@ -42,8 +43,7 @@ class SurfacePoints:
 
 def spread_points(corners: Floats, count: int) -> SurfacePoints:
     """Points that are even over triangles (F, 3, 3): as many an area everywhere, and evenly within each."""
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    reached = np.cumsum(np.linalg.norm(cross, axis=1))
+    reached = np.cumsum(face_areas(corners))
     number = np.arange(count)
     faces = np.searchsorted(reached, (number + 0.5) / max(count, 1) * reached[-1])
     first, second = (np.modf(0.5 + number * step)[0] for step in STEPS)
@@ -87,8 +87,7 @@ def points_near_seams(
     SurfacePoints
     """
     flat = uv_to_px(corner_uvs, *size_px)
-    first, second = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
-    covered = 0.5 * np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).sum()
+    covered = face_areas(flat).sum()
     points = spread_points(surface.positions[surface.faces], int(np.ceil(POINTS_A_TEXEL * covered)))
     near = near_lines(uv_to_px(seam_uvs, *size_px).reshape(-1, 2, 2), *size_px)
     column, row = np.rint(points.interpolate(flat)).astype(np.int64).T

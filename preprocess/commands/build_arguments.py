@@ -83,7 +83,7 @@ def add_build_arguments(parser: argparse.ArgumentParser) -> None:
         type=fraction,
         default=default.floor_rel,
         metavar="R",
-        help="fraction of the faces the coarsest exact level must reach (default 0.03)",
+        help="fraction of the faces the coarsest exact level should reach, a wish (default 0.03)",
     )
     parser.add_argument("--exact", action="store_true", help="leave out levels with relaxed seams")
     parser.add_argument(

@@ -7,7 +7,6 @@ import contextlib
 import logging
 import os
 import shutil
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from preprocess.erase.seam_classification import Decision, choose_color_seams, d
 from preprocess.erase.seam_samples import SeamMeasure
 from preprocess.errors import InputError
 from preprocess.files.images import Image, read_image, write_image
-from preprocess.files.output_folder import check_not_input, whole_parents
+from preprocess.files.output_folder import check_not_input, partial_folder
 from preprocess.mesh.seams import Seams, count_crowded_edges, find_seams
 from preprocess.mesh.surface import TexturedSurface
 
@@ -277,23 +276,16 @@ def run(arguments: argparse.Namespace) -> None:
     if not len(job.seams.vertices):
         print(f"note: {arguments.mesh.name} has no seams: images are copied as they are")
     folder = paths[0].absolute().parent
-    with whole_parents(folder):
-        try:
-            partial = Path(tempfile.mkdtemp(prefix=".erase.partial-", dir=folder))
-        except OSError as error:
-            raise InputError(f"{folder} cannot be written to ({error.strerror}): name another place with -o") from error
-        try:
-            made: list[Path] = []
-            for source, path in zip(arguments.images, paths, strict=True):
-                image = _read_texels(source)
-                levels = job.erase(image, source.name)
-                if not len(job.seams.vertices) and len(levels) == 1 and source.suffix == path.suffix:
-                    shutil.copyfile(source, partial / path.name)
-                    made.append(Path(path.name))
-                    continue
-                made += [_write_level(partial, path, number, level) for number, level in enumerate(levels)]
-            for relative in made:
-                (folder / relative).parent.mkdir(exist_ok=True)
-                os.replace(partial / relative, folder / relative)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
+    with partial_folder(folder, "erase") as partial:
+        made: list[Path] = []
+        for source, path in zip(arguments.images, paths, strict=True):
+            image = _read_texels(source)
+            levels = job.erase(image, source.name)
+            if not len(job.seams.vertices) and len(levels) == 1 and source.suffix == path.suffix:
+                shutil.copyfile(source, partial / path.name)
+                made.append(Path(path.name))
+                continue
+            made += [_write_level(partial, path, number, level) for number, level in enumerate(levels)]
+        for relative in made:
+            (folder / relative).parent.mkdir(exist_ok=True)
+            os.replace(partial / relative, folder / relative)

@@ -12,7 +12,7 @@ from preprocess.errors import InputError
 from preprocess.files.images import Image, read_image, write_image
 from preprocess.files.obj import read_looks, write_obj
 from preprocess.files.obj_materials import ObjLooks, move_library
-from preprocess.files.output_folder import MANIFEST, check_destination, whole_folder
+from preprocess.files.output_folder import MANIFEST, atomic_folder, check_destination, describe_contents
 from preprocess.load.read_surface import read_surface
 from preprocess.progress import tell_of_compiling
 from preprocess.straighten.driver import DEFAULT_DISTORTION, DEFAULT_TOLERANCE_REL, Straightened, straighten
@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
     images = [read_image(path, path.name) for path in arguments.images]
     with tell_of_compiling():
         result = straighten(surface, arguments.tolerance, most_distortion=arguments.most_distortion)
-    with whole_folder(destination) as folder:
+    with atomic_folder(destination) as folder:
         looks = read_looks(arguments.mesh)
         if looks is not None:
             looks = _bring_libraries(looks.of(result.split.face_source), folder, destination, names)
@@ -92,7 +92,12 @@ def run(arguments: argparse.Namespace) -> int:
         warps: dict[tuple[int, int], Warp] = {}
         for name, image in zip(names, images, strict=True):
             write_image(folder / name, _warp(image, result, warps))
-        report = {"straighten": describe(result, arguments.tolerance), "mesh": mesh_name, "images": names}
+        report = {
+            **describe_contents(folder),
+            "straighten": describe(result, arguments.tolerance),
+            "mesh": mesh_name,
+            "images": names,
+        }
         (folder / MANIFEST).write_text(json.dumps(report, indent=2) + "\n")
     print(
         f"{mesh_name}: {result.num_edges} silhouette edges in {result.num_runs} straight runs, "

@@ -119,9 +119,7 @@ def decimate_to(
         engine.run_to(target_faces)  # turned edges may have made room
     stopped = engine.num_faces > target_faces
     blocked = engine.blocked() if stopped else {}
-    return Chain(
-        (engine.snapshot(),), engine.num_faces if stopped else -1, blocked, engine.repairs, engine.repairs.warnings()
-    )
+    return Chain((engine.snapshot(),), engine.num_faces if stopped else -1, blocked, engine.repairs)
 
 
 def decimate_within(
@@ -169,7 +167,7 @@ def decimate_within(
             break
     stopped = engine.num_faces > target
     floor, blocked = (engine.num_faces, engine.blocked()) if stopped else (-1, {})
-    return Chain((best,), floor, blocked, engine.repairs, engine.repairs.warnings())
+    return Chain((best,), floor, blocked, engine.repairs)
 
 
 def _measured(reference: Reference, lod: Lod, at_least_m: float) -> Lod:
@@ -341,15 +339,11 @@ def decimate(
                 relaxed = _relaxed_levels(before, reference, finest, options)
             break
     if options.ratios is None:
-        lods, relaxed = _useful(*_merged(lods, relaxed))
-    warnings = list(engine.repairs.warnings())
-    for number, lod in enumerate(relaxed, len(lods)):
-        if not lod.exact:
-            text = f"level {number} ({lod.num_faces} faces) has seams relaxed by up to {lod.uv_bound_px:.1f} texels"
-            warnings.append(text + (f" and leaves out {lod.dropped_parts} small parts" if lod.dropped_parts else ""))
+        far_m = MAX_ERROR_REL * reference.extent_m
+        lods, relaxed = _useful(*_merged([lod for lod in lods if lod is lods[0] or lod.error_m <= far_m], relaxed))
     lods += relaxed
     log.info("decimate: %d -> %s faces", len(surface.faces), ", ".join(str(lod.num_faces) for lod in lods))
-    return Chain(tuple(lods), floor, blocked, engine.repairs, tuple(warnings))
+    return Chain(tuple(lods), floor, blocked, engine.repairs)
 
 
 def floor_faces(surface: TexturedSurface, tolerance_uv: float = ROUNDING_UV) -> int:

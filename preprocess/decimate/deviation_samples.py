@@ -15,11 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from preprocess.arrays import Floats
 from preprocess.decimate.topology import HalfEdges
+from preprocess.mesh.face_geometry import doubled_area_vectors, unit_vectors
+from preprocess.mesh.grouping import connected_faces
 
 # Poses in which witnesses are followed, besides the bind pose: those that stretch the surface most.
 MAX_POSES = 6
@@ -63,7 +63,7 @@ def choose_poses(posed: Floats, positions: Floats, faces: NDArray[np.int64]) -> 
         In bind pose.
     faces : (F, 3) int64
     """
-    areas = np.linalg.norm(_cross(positions, faces), axis=1)
+    areas = np.linalg.norm(doubled_area_vectors(positions[faces]), axis=1)
     tiny = 1e-9 * float(np.ptp(positions, axis=0).max())
     rest = np.log(_side_lengths(positions, faces) + tiny)
     stretches = [np.abs(np.log(_side_lengths(pose, faces) + tiny) - rest).max(axis=1) for pose in posed]
@@ -92,11 +92,11 @@ def make_witnesses(half_edges: HalfEdges, uvs: Floats, posed: Floats) -> Witness
     num_faces = half_edges.num_faces
     tails, wedges = half_edges.tail[: 3 * num_faces], half_edges.wedge[: 3 * num_faces]
     corners, corner_wedges = tails.reshape(-1, 3), wedges.reshape(-1, 3)
-    crosses = np.stack([_cross(positions, corners) for positions in posed])
+    crosses = np.stack([doubled_area_vectors(positions[corners]) for positions in posed])
     sums = np.stack([_sum_at_corners(cross, corners, posed.shape[1]) for cross in crosses])
     vertices, first = np.unique(tails, return_index=True)
     slips = _slips(half_edges, crosses[0], sums[0])
-    layers = [_rows(uvs[wedges[first]], slips[vertices], posed[:, vertices], _unit(sums[:, vertices]))]
+    layers = [_rows(uvs[wedges[first]], slips[vertices], posed[:, vertices], unit_vectors(sums[:, vertices]))]
     over = [first // 3]
     places = [(1 / 3, 1 / 3, 1 / 3)]
     if len(vertices) < FEW_VERTICES:
@@ -104,7 +104,7 @@ def make_witnesses(half_edges: HalfEdges, uvs: Floats, posed: Floats) -> Witness
     for place in places:
         uv = np.einsum("k,fki->fi", place, uvs[corner_wedges])
         points = np.einsum("k,qfki->qfi", place, posed[:, corners])
-        layers.append(_rows(uv, np.full(num_faces, SLIP), points, _unit(crosses)))
+        layers.append(_rows(uv, np.full(num_faces, SLIP), points, unit_vectors(crosses)))
         over.append(np.arange(num_faces))
     face = np.concatenate(over)
     order = np.argsort(face, kind="stable")
@@ -112,7 +112,7 @@ def make_witnesses(half_edges: HalfEdges, uvs: Floats, posed: Floats) -> Witness
     same = face[order[1:]] == face[order[:-1]]
     following[order[:-1][same]] = order[1:][same]
     faces = np.full((num_faces, 2), -1, np.int64)
-    faces[:, 0] = _charts(corner_wedges, len(half_edges.wedge_source))
+    faces[:, 0] = connected_faces(corner_wedges, len(half_edges.wedge_source))
     starts = np.r_[True, ~same]
     faces[face[order[starts]], 1] = order[starts]
     return Witnesses(np.concatenate(layers), following, faces)
@@ -124,11 +124,6 @@ def no_witnesses(num_faces: int) -> Witnesses:
     return Witnesses(np.zeros((0, FIRST_POSE + POSE_STRIDE)), np.zeros(0, np.int64), faces)
 
 
-def _cross(positions: Floats, faces: NDArray[np.int64]) -> Floats:
-    corners = positions[faces]
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-
-
 def _side_lengths(positions: Floats, faces: NDArray[np.int64]) -> Floats:
     return np.linalg.norm(positions[faces] - positions[np.roll(faces, 1, axis=1)], axis=2)
 
@@ -137,11 +132,6 @@ def _sum_at_corners(values: Floats, corners: NDArray[np.int64], num_vertices: in
     """(F, 3) face values summed at the vertices, (V, 3)."""
     sums = [np.bincount(corners.ravel(), np.repeat(value, 3), num_vertices) for value in values.T]
     return np.stack(sums, axis=1)
-
-
-def _unit(vectors: Floats) -> Floats:
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / np.where(lengths > 0.0, lengths, 1.0)
 
 
 def _slips(half_edges: HalfEdges, crosses: Floats, sums: Floats) -> Floats:
@@ -160,11 +150,3 @@ def _rows(uvs: Floats, slips: Floats, points: Floats, normals: Floats) -> Floats
     """Witnesses (N, 4 + 6 Q), all of weight 1, from (N, 2), (N,), (Q, N, 3) and (Q, N, 3)."""
     poses = np.concatenate([points, normals], axis=2).transpose(1, 0, 2).reshape(len(uvs), -1)
     return np.concatenate([uvs, slips[:, None], np.ones((len(uvs), 1)), poses], axis=1)
-
-
-def _charts(corner_wedges: NDArray[np.int64], num_wedges: int) -> NDArray[np.int64]:
-    """The chart of each face, (F,): what hangs together by wedges."""
-    ends = corner_wedges[:, :2].ravel(), corner_wedges[:, 1:].ravel()
-    graph = coo_array((np.ones(len(ends[0]), np.int8), ends), shape=(num_wedges, num_wedges))
-    _, chart = connected_components(graph, directed=False)
-    return chart[corner_wedges[:, 0]].astype(np.int64)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from preprocess.arrays import Floats
 from preprocess.decimate.topology import NO_WEDGE, HalfEdges
+from preprocess.mesh.grouping import connected_groups
 
 
 def find_free_vertices(half_edges: HalfEdges, uvs: Floats, tolerance_uv: float) -> NDArray[np.bool_]:
@@ -56,10 +55,7 @@ def count_floor(half_edges: HalfEdges, uvs: Floats, tolerance_uv: float) -> int:
     corner = on_outline & ~free[vertex_of_wedge]
 
     ends = wedges.reshape(-1, 3)
-    links = coo_array(
-        (np.ones(2 * num_faces), (ends[:, :2].ravel(), ends[:, 1:].ravel())), shape=(len(corner), len(corner))
-    )
-    num_charts, chart = connected_components(links, directed=False)
+    num_charts, chart = connected_groups(len(corner), ends[:, :2].ravel(), ends[:, 1:].ravel())
     # V - E + F with E from the half-edges: inner edges have two of them, outline edges one.
     h = np.arange(3 * num_faces)
     ahead = np.where(h % 3 == 2, h - 2, h + 1)

@@ -15,6 +15,7 @@ from preprocess.arrays import Floats, Ints
 from preprocess.decimate.levels import Lod
 from preprocess.decimate.skinning import Skinning, make_skinning
 from preprocess.mesh.closest_point import NearestTree, build_tree
+from preprocess.mesh.face_geometry import face_areas, face_normals
 from preprocess.mesh.surface import TexturedSurface
 
 # Samples over the area of each mesh, and how many of its vertices besides; with many poses, in each of them.
@@ -49,8 +50,7 @@ def sample_mesh(positions: Floats, faces: Ints, num_samples: int = NUM_SAMPLES) 
         Of either kind.
     """
     corners = positions[faces]
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    total = np.cumsum(areas)
+    total = np.cumsum(face_areas(corners))
     at = (np.arange(num_samples) + 0.5) / num_samples * total[-1]
     face = np.minimum(np.searchsorted(total, at), len(faces) - 1)
     s, t = (np.arange(1, num_samples + 1) * _R2[0]) % 1.0, (np.arange(1, num_samples + 1) * _R2[1]) % 1.0
@@ -67,14 +67,6 @@ def _posed(positions: Floats, matrices: Floats) -> Floats:
     """Positions (V, 3) as they are and in each pose, (1 + P, V, 3)."""
     moved = np.einsum("pvij,vj->pvi", matrices[..., :3], positions) + matrices[..., 3]
     return np.concatenate([positions[None], moved])
-
-
-def _normals(positions: Floats, faces: NDArray[np.integer]) -> Floats:
-    """Unit normals of faces, (N, 3); zero where degenerate."""
-    corners = positions[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return normals / np.where(lengths > 0, lengths, 1.0)
 
 
 @dataclass(frozen=True)
@@ -178,10 +170,11 @@ def measure(reference: Reference, lod: Lod, matrices: Floats | None = None) -> D
         places[farther], to_worst[farther] = nearest.points(full.positions, full.faces), to_full[farther]
         from_worst = np.maximum(from_worst, from_full)
         means += [to_full[area].mean(), from_full[area].mean()]
-        normals = _normals(positions, lod.faces)
+        normals = face_normals(positions[lod.faces])
+        found, sampled = full.faces[full_face[area]], full.faces[on_full.faces[area]]
         cosines = np.r_[
-            np.einsum("ni,ni->n", normals[samples.faces[area]], _normals(full_positions, full.faces[full_face[area]])),
-            np.einsum("ni,ni->n", _normals(full_positions, full.faces[on_full.faces[area]]), normals[face[area]]),
+            np.einsum("ni,ni->n", normals[samples.faces[area]], face_normals(full_positions[found])),
+            np.einsum("ni,ni->n", face_normals(full_positions[sampled]), normals[face[area]]),
         ]
         angles.append(np.arccos(np.clip(cosines, -1.0, 1.0)).mean())
     each_m = np.r_[to_worst, from_worst]

@@ -15,13 +15,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from preprocess.arrays import Floats, Ints
+from preprocess.arrays import Floats, Indices, Ints
 from preprocess.decimate.levels import Repairs
 from preprocess.errors import InputError
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.numerics.jit import fixed_memory_helper as helper
-
-Longs = NDArray[np.int64]
 
 TAIL, WEDGE, TWIN = 0, 1, 2  # columns of the table of half-edges
 NO_WEDGE = -1  # the wedge of a virtual face's corner
@@ -44,10 +42,10 @@ class HalfEdges(NamedTuple):
     face_source : (F,) int32, face of the input
     """
 
-    tail: Longs
-    wedge: Longs
-    twin: Longs
-    out: Longs
+    tail: Indices
+    wedge: Indices
+    twin: Indices
+    out: Indices
     num_silhouettes: NDArray[np.uint8]
     num_faces: int
     vertex_source: Ints
@@ -256,7 +254,7 @@ def build_half_edges(
 
 def _close_boundaries(
     tail: Ints, wedge: Ints, twin: Ints, ahead: NDArray[np.int64], num_vertices: int
-) -> tuple[Longs, Longs, Longs]:
+) -> tuple[Indices, Indices, Indices]:
     """Add a virtual face (b, a, infinity) on every half-edge a -> b without a twin."""
     open_edges = np.flatnonzero(twin < 0)
     count = len(open_edges)

@@ -120,7 +120,7 @@ def _cut(lines_px: Floats) -> tuple[NDArray[np.int64], Floats, Floats]:
     return edges, start, end
 
 
-def split_edges(uv_lines: Floats, width: int, height: int, *, repeat: bool = False) -> Intervals:
+def cut_into_intervals(uv_lines: Floats, width: int, height: int, *, repeat: bool = False) -> Intervals:
     """Cut edges, or pairs of edges that run together, into intervals.
 
     Parameters

@@ -25,6 +25,7 @@ from preprocess.erase.prepare import plan_erasure
 from preprocess.erase.quantise import quantise
 from preprocess.erase.seam_samples import SeamMeasure
 from preprocess.files.srgb import linear_to_srgb, srgb_to_linear
+from preprocess.mesh.face_geometry import face_areas
 from preprocess.mesh.seams import Seams
 from preprocess.mesh.surface import TexturedSurface
 
@@ -74,8 +75,7 @@ def is_crowded(surface: TexturedSurface, seams: Seams, width: int, height: int) 
     if width * height <= FEW_TEXELS or not len(seams.vertices):
         return False
     corners = surface.uvs[surface.face_uvs] * (width, height)
-    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    area = 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()
+    area = face_areas(corners).sum()
     sides = surface.uvs[seams.uv_pairs] * (width, height)
     outline = np.linalg.norm(sides[:, :, 1] - sides[:, :, 0], axis=2).sum()
     return bool(4.0 * area < NARROW_PX * outline)  # a square of side s has an area of s² in an outline of 4 s
@@ -93,7 +93,7 @@ def _box_weights(size: int, new_size: int) -> sparse.csr_array:
     return sparse.csr_array((overlap[kept] / scale, (rows[kept], columns[kept])), shape=(new_size, size))
 
 
-def shrink(texels: Floats, used: NDArray[np.bool_], width: int, height: int) -> Floats:
+def shrink(texels: NDArray[Any], used: NDArray[np.bool_], width: int, height: int) -> NDArray[Any]:
     """Box-filter an image over its used texels.
 
     Parameters
@@ -111,7 +111,7 @@ def shrink(texels: Floats, used: NDArray[np.bool_], width: int, height: int) -> 
     old_height, old_width, channels = texels.shape
     down, across = (_box_weights(*sizes).astype(texels.dtype) for sizes in ((old_height, height), (old_width, width)))
 
-    def average(image: Floats) -> Floats:
+    def average(image: NDArray[Any]) -> NDArray[Any]:
         rows = (down @ image.reshape(old_height, -1)).reshape(height, old_width, -1)
         turned = np.ascontiguousarray(rows.transpose(1, 0, 2)).reshape(old_width, -1)
         return (across @ turned).reshape(width, height, -1).transpose(1, 0, 2)

@@ -16,7 +16,7 @@ from preprocess.arrays import Floats
 from preprocess.erase.energies import inward_normals, jump_elements, sample_rows, slope_elements, to_rows, value_rows
 from preprocess.erase.eraser import Erased, Eraser, surface_vertices
 from preprocess.erase.grid import Grid, build_grid
-from preprocess.erase.intervals import split_edges
+from preprocess.erase.intervals import cut_into_intervals
 from preprocess.erase.matrix import GRADIENT_MASS, grid_matrix, rows_matrix
 from preprocess.erase.options import DEFAULT_OPTIONS, EraseOptions, Weights
 from preprocess.erase.region import find_region, silhouette_ends, silhouette_lines
@@ -84,8 +84,8 @@ def plan_erasure(
     Eraser
     """
     joined = slice(None) if options.joined is None else options.joined
-    intervals = split_edges(surface.uvs[seams.uv_pairs[joined]], width, height, repeat=options.repeat)
-    silhouette = split_edges(silhouette_lines(surface, seams), width, height, repeat=options.repeat)
+    intervals = cut_into_intervals(surface.uvs[seams.uv_pairs[joined]], width, height, repeat=options.repeat)
+    silhouette = cut_into_intervals(silhouette_lines(surface, seams), width, height, repeat=options.repeat)
     region = find_region(
         surface,
         seams,

@@ -24,11 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from preprocess.arrays import Floats
+from preprocess.arrays import Floats, Singles
 from preprocess.erase.seam_samples import SeamStrip
 from preprocess.erase.two_opt import best_pair
-
-Singles = NDArray[np.float32]
 
 # Jumps, in steps of the format. The aim is 0.5 at every point of every seam.
 LIMIT = 0.42

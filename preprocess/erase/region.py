@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.arrays import Floats
-from preprocess.erase.intervals import Intervals, split_edges
+from preprocess.erase.intervals import Intervals, cut_into_intervals
 from preprocess.mesh.seams import Seams
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.mesh.texels import bilinear_stencil, uv_to_px
@@ -177,7 +177,7 @@ def find_region(
     repeat : bool
         Whether the sampler repeats.
     silhouette : Intervals, optional
-        `split_edges(silhouette_lines(surface, seams), width, height)` where the caller has it.
+        `cut_into_intervals(silhouette_lines(surface, seams), width, height)` where the caller has it.
     sample_uvs : (N, 2) float64, optional
         Points whose cells count as silhouette cells, so that the texture is free to change there.
     seam_cells : (N,) or more int64, optional
@@ -189,7 +189,7 @@ def find_region(
     Region
     """
     if silhouette is None:
-        silhouette = split_edges(silhouette_lines(surface, seams), width, height, repeat=repeat)
+        silhouette = cut_into_intervals(silhouette_lines(surface, seams), width, height, repeat=repeat)
     inside = find_inside(surface, width, height, repeat=repeat)
     parts = [silhouette.texels[:, 0, 0]]
     if seam_cells is not None:

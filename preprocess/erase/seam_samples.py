@@ -14,7 +14,7 @@ from scipy import sparse
 
 from preprocess.arrays import Floats
 from preprocess.erase.energies import jump_weights, to_rows
-from preprocess.erase.intervals import Intervals, split_edges
+from preprocess.erase.intervals import Intervals, cut_into_intervals
 from preprocess.mesh.seams import Seams
 from preprocess.mesh.surface import TexturedSurface
 
@@ -165,5 +165,5 @@ def measure_seams(
     """
     height, width = texels.shape[:2]
     kept = slice(None) if joined is None else joined
-    intervals = split_edges(surface.uvs[seams.uv_pairs[kept]], width, height, repeat=repeat)
+    intervals = cut_into_intervals(surface.uvs[seams.uv_pairs[kept]], width, height, repeat=repeat)
     return measure_intervals(texels, intervals, seams.lengths_m[kept])

@@ -21,6 +21,7 @@ from scipy import sparse
 
 from preprocess.arrays import Floats
 from preprocess.erase.seam_samples import SeamStrip
+from preprocess.mesh.grouping import connected_groups
 from preprocess.numerics import cholesky
 from preprocess.numerics.cholesky import factor_symmetric
 from preprocess.numerics.nested_dissection import order_by_dissection
@@ -272,13 +273,10 @@ def keep_by_contrast(values: Floats, strip: SeamStrip, lower: Floats, upper: Flo
     (N, C) float64
         Within the range.
     """
-    from scipy.sparse import csgraph
-
     # Texels and points as one graph, an edge wherever a point reads a texel.
     reads = sparse.coo_array(strip.rows)
     num_points, num_both = reads.shape[0], sum(reads.shape)
-    graph = sparse.coo_array((np.ones(reads.nnz), (reads.row, reads.col + num_points)), shape=(num_both, num_both))
-    num, part = csgraph.connected_components(graph, directed=False)
+    num, part = connected_groups(num_both, reads.row, reads.col + num_points)
     part = part[num_points:]
     count = np.maximum(np.bincount(part, minlength=num), 1)
     result = np.empty_like(values)

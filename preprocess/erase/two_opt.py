@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Singles = NDArray[np.float32]
+from preprocess.arrays import Singles
 
 STEPS = (-2.0, -1.0, 1.0, 2.0)
 ANSWERS = 6  # texels whose answer to a first move is worked out, those with the steepest cost

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -19,7 +18,7 @@ from preprocess.export.ktx2 import write_ktx2
 from preprocess.export.lod_vertices import LodMesh
 from preprocess.export.tangent_normals import atlas_tangents, bake_tangent_normals, has_relief
 from preprocess.files.images import Image, write_image
-from preprocess.files.output_folder import MANIFEST
+from preprocess.files.output_folder import MANIFEST, describe_contents
 from preprocess.fit.textures import StoredTexture
 from preprocess.load import Character
 from preprocess.settings import Settings
@@ -73,13 +72,13 @@ def write_folder(
     warnings: Sequence[str],
     timings: Mapping[str, float],
     normal_uvs: Sequence[Floats | None],
-) -> tuple[LodRow, ...]:
+) -> dict[str, Any]:
     """Write everything into an empty folder. `normal_uvs` are those of the levels, as for `write_model_glb`.
 
     Returns
     -------
-    tuple of LodRow
-        As in the manifest, finest first.
+    dict
+        The manifest, as it was written.
     """
     lods = chain.lods
     rows = tuple(_row(f"{character.name}_LOD{i}", lod) for i, lod in enumerate(lods))
@@ -97,7 +96,7 @@ def write_folder(
     for file, row, lod, level in zip(files, rows, lods, levels):
         one: dict[str, Any] = {"names": [row.node], "levels": [level]}
         write_model_glb(folder / file, character, atlas.mesh, [lod], in_model, settings.influences, **one)
-    manifest = {
+    manifest: dict[str, Any] = {
         "schema": SCHEMA,
         "name": character.name,
         "source": {"file": character.source.name, "sha256": character.source_hash},
@@ -117,17 +116,22 @@ def write_folder(
             "stretch_l2": atlas.stretch_l2,
             "stretch_linf": atlas.stretch_linf,
             "coverage": atlas.coverage,
+            "kept_share": atlas.kept_share,
+            "texels": dict(atlas.texels),
         },
         "settings": asdict(settings),
         "timings": {name: round(seconds, 3) for name, seconds in timings.items()},
         "warnings": list(warnings),
     }
-    manifest["files"] = {
-        path.relative_to(folder).as_posix(): hash_file(path) for path in sorted(folder.rglob("*")) if path.is_file()
-    }
+    manifest |= describe_contents(folder)
+    write_manifest(folder, manifest)
+    return manifest
+
+
+def write_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
+    """Write manifest.json."""
     text = json.dumps(_finite(manifest), indent=1, ensure_ascii=False)
-    (folder / MANIFEST).write_text(text + "\n", encoding="utf-8")
-    return rows
+    (folder / MANIFEST).write_text(text + "\n", encoding="utf-8", errors="replace")
 
 
 def _write_relief(folder: Path, finest: LodMesh, textures: Sequence[StoredTexture]) -> dict[str, Any]:
@@ -135,12 +139,6 @@ def _write_relief(folder: Path, finest: LodMesh, textures: Sequence[StoredTextur
     normals = next(texture.levels[0] for texture in textures if texture.name == "normal")
     write_image(folder / RELIEF, Image(bake_tangent_normals(finest, np.asarray(normals, np.float64)), "uint8"))
     return {"file": RELIEF, **({"uvs": "normal"} if finest.normal_uvs is not None else {})}
-
-
-def hash_file(path: Path) -> str:
-    """SHA-256 of a file's bytes, hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _row(node: str, lod: Lod) -> LodRow:
@@ -213,7 +211,7 @@ def _bounds(character: Character, atlas: Atlas) -> dict[str, Any]:
 
 def _finite(value: Any) -> Any:
     """JSON has no NaN or infinity: they become null."""
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [_finite(item) for item in value]

@@ -1,4 +1,4 @@
-"""model.glb: skeleton, clips and one skinned mesh a level of detail, as glTF that any viewer opens.
+"""model.glb: skeleton, clips and one skinned mesh per level of detail, as glTF that any viewer opens.
 
 The scene shows the finest level; the others hang on it by MSFT_lod. Materials name the folder's textures by relative
 uri. For the runtime every vertex also has `_OWNER_UV`, where its geometry is fetched. `TEXCOORD_1`, where there is one,

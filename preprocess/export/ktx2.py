@@ -89,7 +89,7 @@ def encode_ktx2(levels: Sequence[NDArray[Any]], stored: str, is_srgb: bool) -> b
     Parameters
     ----------
     levels : sequence of (H, W, C) float
-        Mip levels, the finest first, each max(1, size >> k) texels a side; integer formats in [0, 1]. C from 1 to 4.
+        Mip levels, the finest first, each max(1, size >> k) texels per side; integer formats in [0, 1]. C from 1 to 4.
     stored : str
         "uint8", "uint16", "half" or "float".
     is_srgb : bool

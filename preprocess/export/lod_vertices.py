@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from preprocess.arrays import Floats, Indices
 from preprocess.fit.corner_locations import Places, locate_corners
-from preprocess.mesh.corner_normals import face_normals
+from preprocess.mesh.face_geometry import face_normals
 from preprocess.mesh.grouping import expand_ranges, group_rows
 from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
 from preprocess.mesh.texels import UV_STEPS
@@ -63,7 +63,7 @@ def _corner_normals(
     rows : (3 F,) int64
         The row of `places` that each corner's normal is from.
     """
-    own = np.repeat(face_normals(level.positions, level.faces.astype(np.int64)), 3, axis=0)
+    own = np.repeat(face_normals(level.positions[level.faces]), 3, axis=0)
     points = corner_points.reshape(-1)
     counts = np.diff(np.r_[places.firsts, len(places.points)])[points]
     corner, row = expand_ranges(places.firsts[points], counts)

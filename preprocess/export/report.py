@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.files.images import Image, write_image
+from preprocess.mesh.edges import chart_of_faces
 from preprocess.mesh.raster import rasterise
 from preprocess.mesh.surface import TexturedSurface
 
@@ -170,23 +171,12 @@ def _figure_of(caption: str, png: bytes) -> str:
 
 
 def draw_atlas(surface: TexturedSurface, size_px: int = PICTURE_PX) -> NDArray[np.float64]:
-    """The atlas with a colour a chart, triangles shaded lightly, (H, W, 3) float64 in [0, 1]."""
+    """The atlas with a colour per chart, triangles shaded lightly, (H, W, 3) float64 in [0, 1]."""
     coverage = rasterise(surface.uvs, surface.face_uvs, size_px, size_px, 0.0)
-    charts = _chart_of_face(surface)
+    charts = chart_of_faces(surface)
     palette = np.random.default_rng(7).uniform(0.45, 0.95, (int(charts.max(initial=0)) + 1, 3))
     picture = np.ones((size_px, size_px, 3))
     inside = coverage.inside
     near_edge = coverage.barycentrics[inside].min(axis=1) < 0.06
     picture[inside] = palette[charts[coverage.faces[inside]]] * np.where(near_edge, 0.85, 1.0)[:, None]
     return picture
-
-
-def _chart_of_face(surface: TexturedSurface) -> NDArray[np.int64]:
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    corners = surface.face_uvs
-    rows, columns = corners[:, [0, 1]].ravel(), corners[:, [1, 2]].ravel()
-    graph = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(len(surface.uvs),) * 2)
-    labels = connected_components(graph, directed=False)[1]
-    return labels[corners[:, 0]].astype(np.int64)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from preprocess.arrays import Floats, Indices
-from preprocess.mesh.grouping import expand_ranges, group_rows, join_pairs
+from preprocess.mesh.grouping import connected_faces, expand_ranges, group_rows
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.mesh.uv_lookup import locate_uvs, uv_tree
 
@@ -44,12 +44,6 @@ class Places:
     faces: Indices
     barycentrics: Floats
     firsts: Indices
-
-
-def face_components(faces: NDArray[np.integer], num_vertices: int) -> Indices:
-    """Connected component of each face, over shared vertices, (F,) int64."""
-    _, vertex_component = join_pairs(num_vertices, np.r_[faces[:, 0], faces[:, 1]], np.r_[faces[:, 1], faces[:, 2]])
-    return vertex_component[faces[:, 0]]
 
 
 def _nearest_in_triangles(corners: Floats, points: Floats) -> tuple[Floats, Floats]:
@@ -93,7 +87,7 @@ def locate_corners(
         A flat corner for each of them.
     """
     scale = PLACE_SHARE / max(full.diagonal_m, 1e-30)
-    components = face_components(full.faces, len(full.positions))
+    components = connected_faces(full.faces, len(full.positions))
 
     def coordinates(surface: TexturedSurface, corners: Indices, component: Indices) -> Floats:
         place = surface.positions[surface.faces.reshape(-1)[corners]] * scale

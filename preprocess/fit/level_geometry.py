@@ -20,10 +20,10 @@ from preprocess.arrays import Floats
 from preprocess.bake.geometry import vertex_values
 from preprocess.decimate import Lod
 from preprocess.decimate.measure import make_reference, measure
-from preprocess.erase import measure_seams
-from preprocess.fit.packed_positions import are_worth_it, round_positions
+from preprocess.fit.positions import fit_positions
 from preprocess.fit.spare_texels import park_vertices
-from preprocess.fit.stored_texture import StoredTexture, jump
+from preprocess.fit.stored_texture import StoredTexture, seam_report
+from preprocess.fit.weight_map import store_weights
 from preprocess.fit.weight_quadtree import (
     WeightPoints,
     detail_weights,
@@ -31,18 +31,18 @@ from preprocess.fit.weight_quadtree import (
     pose_moves,
     sample_weights,
 )
-from preprocess.fit.weight_stack import unpack_weights
 from preprocess.mesh.raster import rasterise
 from preprocess.mesh.seams import find_seams
 from preprocess.mesh.surface import SkinnedMesh
 from preprocess.mesh.texels import px_to_uv, sample_bilinear
 from preprocess.mesh.uv_lookup import locate_uvs, uv_tree
+from runtime.asset.weight_stack import unpack_weights
 
 log = logging.getLogger(__name__)
 
 SAME_UV = 1e-6  # vertices whose uvs are no further apart are told apart by where they are
 OUTLINE_PX = 1024  # points for the length of a side, along charts' outlines
-SAMPLES_PX = 256  # the surface between vertices is looked at in a grid at least so fine
+SAMPLES_PX = 128  # the surface between vertices is looked at in a grid at least so fine
 VERTEX_REL = 5e-4  # error allowed at the full mesh's vertices, of the diagonal: a quarter of the goal
 LEVEL_SHARE = 0.12  # at those of coarser levels, of the level's error
 OUTSIDE_REL = 2e-2  # where triangles of coarse levels leave the charts: no more than that it does not stand out
@@ -183,26 +183,6 @@ def _as_integers(texture: StoredTexture) -> NDArray[Any]:
     return np.rint(texture.levels[0] * np.iinfo(kind).max).astype(kind)
 
 
-def _in_words(
-    position: StoredTexture, texels: Floats, mesh: SkinnedMesh, lods: Sequence[Lod], wanted: Floats
-) -> tuple[StoredTexture, tuple[Lod, ...]]:
-    """Positions as the GPU holds them, and the levels as they are drawn then. `wanted` is what the finest wants."""
-    seams = find_seams(mesh.surface)
-    uvs = [lod.fetch_uvs for lod in lods if lod.fetch_uvs is not None]
-    rounded, words = round_positions(texels, mesh.surface, seams, uvs[0], wanted)
-    stored: NDArray[Any] = rounded.astype(np.float32)
-    drawn = [
-        dataclasses.replace(lod, positions=sample_bilinear(stored, places))
-        for lod, places in zip(lods, uvs, strict=True)
-    ]
-    left_m = float(np.linalg.norm(drawn[0].positions - wanted, axis=1).max(initial=0.0))
-    drawn[0] = dataclasses.replace(drawn[0], error_m=left_m)
-    seam = {**position.seam, "stored": [jump(measure_seams(stored, mesh.surface, seams))]}
-    meaning = {"bits": words.bits.tolist(), "low": words.low.tolist(), "high": words.high.tolist()}
-    extra = {**position.extra, "words": meaning}
-    return dataclasses.replace(position, levels=(stored,), seam=seam, extra=extra), tuple(drawn)
-
-
 def _measured(
     mesh: SkinnedMesh, weights: StoredTexture, lods: Sequence[Lod], allowed: Sequence[Lod], poses: Floats
 ) -> tuple[Lod, ...]:
@@ -232,39 +212,43 @@ def _measured(
 
 
 def fit_levels(
-    mesh: SkinnedMesh, textures: Sequence[StoredTexture], lods: Sequence[Lod], poses: Floats
+    mesh: SkinnedMesh,
+    lods: Sequence[Lod],
+    poses: Floats,
+    position_side: int | None = None,
+    weight_side: int | None = None,
 ) -> tuple[list[StoredTexture], tuple[Lod, ...]]:
-    """Make geometry right at the vertices of all levels.
+    """Positions and joint weights as textures that are right at the vertices of all levels.
 
     Parameters
     ----------
     mesh : SkinnedMesh
         The full mesh with the atlas as its uvs.
-    textures : sequence of StoredTexture
-        "position" and "weights" among them.
     lods : sequence of Lod
         The finest first: the full mesh.
     poses : (P, J, 4, 4) float64
         Skinning matrices.
+    position_side, weight_side : int, optional
+        Texels; by default as few as are good enough.
 
     Returns
     -------
     textures : list of StoredTexture
+        "position" and "weights".
     lods : tuple of Lod
         With `fetch_uvs` and the distances of what is drawn.
     """
-    by_name = {texture.name: texture for texture in textures}
+    surface, seams = mesh.surface, find_seams(mesh.surface)
+    positions = fit_positions(mesh, seams, position_side)
+    weights = store_weights(mesh, seams, poses.shape[1], weight_side)
     owners = [_locate_full(mesh, lods[0]), *_locate_canonical(mesh, lods[1:])]
-    position = by_name["position"]
-    full = owners[0].blend(mesh.surface.positions)
+    full = owners[0].blend(surface.positions)
     dense = mesh.dense_weights(poses.shape[1])
-    weights = [owner.blend(dense) for owner in owners]
-    texels = position.levels[0].astype(np.float32)
-    size = by_name["weights"].size
-    texels, fitted = park_vertices(texels, lods, full, mesh.surface.diagonal_m, weights, size)
-    if are_worth_it(position.size, sum(len(lod.uvs) for lod in fitted)):
-        by_name["position"], fitted = _in_words(position, texels.astype(np.float64), mesh, fitted, full)
-    else:
-        by_name["position"] = dataclasses.replace(position, levels=(texels,))
-    by_name["weights"] = _detail(by_name["weights"], mesh, fitted, owners, poses)
-    return list(by_name.values()), _measured(mesh, by_name["weights"], fitted, lods, poses)
+    at_owners = [owner.blend(dense) for owner in owners]
+    texels, fitted = park_vertices(
+        positions.fitted.astype(np.float32), lods, full, surface.diagonal_m, at_owners, weights.size
+    )
+    seam = seam_report(surface, seams, positions.baked, positions.fitted, texels)
+    position = StoredTexture("position", (texels,), "float", texels.shape[1::-1], seam)
+    weights = _detail(weights, mesh, fitted, owners, poses)
+    return [position, weights], _measured(mesh, weights, fitted, lods, poses)

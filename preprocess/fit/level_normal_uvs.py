@@ -10,9 +10,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from preprocess.arrays import Floats, Indices
-from preprocess.bake.hard_edges import Bools, NormalUvs, move_from_creases, next_corners, pair_inside_charts
+from preprocess.arrays import Bools, Floats, Indices
+from preprocess.bake.hard_edges import NormalUvs, move_from_creases
 from preprocess.decimate.levels import Lod
+from preprocess.mesh.edges import next_corners, pair_inside_charts
+from preprocess.mesh.face_geometry import face_areas
 from preprocess.mesh.grouping import expand_ranges
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.mesh.texels import uv_to_px
@@ -69,19 +71,16 @@ def _corners_of_intact(surface: TexturedSurface, normal: NormalUvs, lod: Lod) ->
 
 def _texel_length_m(surface: TexturedSurface, size_px: tuple[int, int]) -> float:
     """Mean side of the surface under a texel, metres."""
-    corners = surface.positions[surface.faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    flat = uv_to_px(surface.uvs, *size_px)[surface.face_uvs]
-    first, second = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
-    texels = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).sum()
-    return float(np.sqrt(np.linalg.norm(cross, axis=1).sum() / max(texels, 1e-30)))
+    area_m2 = face_areas(surface.positions[surface.faces]).sum()
+    texels = face_areas(uv_to_px(surface.uvs, *size_px)[surface.face_uvs]).sum()
+    return float(np.sqrt(area_m2 / max(texels, 1e-30)))
 
 
 def crease_lines_px(surface: TexturedSurface, normal: NormalUvs, size_px: tuple[int, int]) -> Floats:
     """The full mesh's hard half-edges as lines in texels, (E, 2, 2)."""
     corners = uv_to_px(surface.uvs, *size_px)[surface.face_uvs.reshape(-1)]
     starts = np.flatnonzero(normal.hard)
-    return np.stack([corners[starts], corners[next_corners(len(surface.faces))[starts]]], axis=1)
+    return np.stack([corners[starts], corners[next_corners(starts)]], axis=1)
 
 
 def find_hard_edges(level: TexturedSurface, twins: Indices, lines_px: Floats, size_px: tuple[int, int]) -> Bools:
@@ -106,7 +105,7 @@ def find_hard_edges(level: TexturedSurface, twins: Indices, lines_px: Floats, si
     hard = np.zeros(level.faces.size, bool)
     first = np.flatnonzero(twins > np.arange(len(twins)))  # one half of each edge
     corners = uv_to_px(level.uvs, *size_px)[level.face_uvs.reshape(-1)]
-    origin, direction = corners[first], corners[next_corners(len(level.faces))[first]] - corners[first]
+    origin, direction = corners[first], corners[next_corners(first)] - corners[first]
     shares = np.linspace(0.0, 1.0, PROBES)
     probes = origin[:, None] + direction[:, None] * shares[:, None]
     distance, nearest = tree.query(probes, distance_upper_bound=NEAR_PX)

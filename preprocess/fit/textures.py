@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from preprocess.arrays import Floats
 from preprocess.atlas import Atlas
+from preprocess.atlas.chart_scales import NORMAL_SIZE_PX
 from preprocess.bake.color_borders import BORDER, find_color_borders
 from preprocess.bake.hard_edges import NormalUvs, bake_surface, erase_surface, find_normal_uvs, move_seams
 from preprocess.bake.materials import BakedTexture, bake_materials, bake_normals, normal_tangents, normals_at
@@ -26,24 +27,22 @@ from preprocess.erase import (
     GLOBAL,
     LOCAL,
     EraseOptions,
-    Eraser,
     Level,
     erase_mips,
 )
+from preprocess.erase.local.mips import Bands, close_mips
 from preprocess.erase.mips import is_crowded, mip_sizes
 from preprocess.erase.seam_classification import Decision, choose_color_seams, choose_normal_seams, draw_decision
-from preprocess.fit.geometry_maps import store_positions, store_weights
 from preprocess.fit.level_normal_uvs import find_level_normal_uvs
 from preprocess.fit.stored_texture import StoredTexture, jump
 from preprocess.load import Character
 from preprocess.mesh.raster import Coverage, cover_atlas
-from preprocess.mesh.seams import Seams, find_seams, pick_seams
+from preprocess.mesh.seams import Seams, find_seams, pack_seams, pick_seams
 from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
 from preprocess.settings import Settings
 
 log = logging.getLogger(__name__)
 
-NORMAL_SIZE_PX = 1024  # without a normal map
 PICTURE_PX = 768  # side of the pictures for the report
 STEPS = {"uint8": 255, "uint16": 65535}
 # Normals are made unit when shaded. Stored a little shorter they leave their solution room along the axes: held within
@@ -56,6 +55,7 @@ NORMAL_CHANGE = 100.0
 # Normal maps are held to the source at points beside seams, a texel's worth of them this much more than the texel
 # itself. RMS as above: human 1.41 without, 1.18 with limited jumps alone, 0.93 with both.
 SAMPLE_WEIGHT = 10.0
+MOST_STORED = 0.51  # 255ths that seams may jump by as stored, before a note says that they do
 POINT_FINENESS = 4  # points are averages of the map over as small a part of a texel
 # A mip chain ends where closing the seams would move what is inside charts by more than this, root mean square. On a
 # crowd of human seen from afar (FLIP against full detail): 0.041 with all levels, 0.033 to 32 x 32, 0.030 to 64 x 64.
@@ -119,9 +119,9 @@ class TextureStage:
         self.made_here = self._find_made_seams()
         self.decisions: dict[str, Decision] = {}
         self.notes: list[str] = []
-        self.normal_size = self.settings.color_size_px or self._normal_size()
+        self.normal_size = self.settings.color_size_px or atlas.sides.get("normal", NORMAL_SIZE_PX)
         size = (self.normal_size, self.normal_size)
-        unwrapped = atlas.mode == "unwrap"
+        unwrapped = atlas.kept_share < 1.0
         self.borders = find_color_borders(character, self.mesh, size) if unwrapped else None
         half_edges = None if self.borders is None else self.borders.half_edges()
         self.normal_uvs: NormalUvs | None = find_normal_uvs(self.mesh, size, half_edges)
@@ -156,10 +156,9 @@ class TextureStage:
         return self._store(self._normal())
 
     def build(self) -> list[StoredTexture]:
-        """Every texture, on two threads; those with the same joined seams share their erasers and a thread."""
+        """Every texture but geometry, on two threads; those with the same joined seams share bands and a thread."""
         pool = ThreadPoolExecutor(2)
         try:
-            geometry = pool.submit(lambda: [self.position(), self.weights()])
             groups: dict[bytes, list[_Job]] = {}
             jobs = [self._normal(), *self._materials()]
             for job in jobs:
@@ -168,7 +167,7 @@ class TextureStage:
             running = [pool.submit(self._store_all, group) for group in longest_first]
             seen = {texture.name: texture for group in running for texture in group.result()}
             self.notes.sort()  # whichever thread was first
-            return [*geometry.result(), *(seen[job.name] for job in jobs)]
+            return [seen[job.name] for job in jobs]
         finally:
             pool.shutdown(wait=False, cancel_futures=True)  # an interrupt does not wait for a long factorisation
 
@@ -179,15 +178,6 @@ class TextureStage:
         size = (self.normal_size, self.normal_size)
         return [find_level_normal_uvs(self.mesh.surface, self.normal_uvs, lod, size) for lod in lods]
 
-    def position(self) -> StoredTexture:
-        """Object-space positions in 32-bit float."""
-        return store_positions(self.mesh, self.seams, self.settings.geometry_size_px)
-
-    def weights(self) -> StoredTexture:
-        """Joint weights, a partition of unity as stored."""
-        num_joints = self.character.skeleton.num_joints
-        return store_weights(self.mesh, self.seams, num_joints, self.settings.weight_size_px)
-
     def _normal(self) -> _Job:
         """Object-space normals with the source's normal maps in them, 16 bits; hard edges stay."""
         size, uvs, mesh = (self.normal_size, self.normal_size), self.normal_uvs, self.mesh
@@ -197,7 +187,8 @@ class TextureStage:
         coverage = self.cover(*size) if uvs is None else self.cover_moved(*size)
         baked = bake_normals(self.character, moved, tangents, coverage)
         erased_on = self._erased_on(decision, uvs)
-        samples = None if tangents is None else self._normal_samples(moved, tangents, *erased_on)
+        is_global = self.settings.seams == "global"
+        samples = None if tangents is None or not is_global else self._normal_samples(moved, tangents, *erased_on)
         return self._decided(
             _Job("normal", _encode_normals(baked), "uint16", 0, decision, erased_on=erased_on, samples=samples)
         )
@@ -220,10 +211,6 @@ class TextureStage:
             return surface, seams
         return erase_surface(surface, uvs), move_seams(seams, surface, uvs)
 
-    def _normal_size(self) -> int:
-        maps = [material.normal for material in self.character.materials]
-        return max((max(ref.image.texels.shape[:2]) for ref in maps if ref is not None), default=NORMAL_SIZE_PX)
-
     def _materials(self) -> list[_Job]:
         """Base colour and, where the character has them, occlusion-roughness-metallic and emissive."""
         mesh, cover = self.mesh, self.cover
@@ -231,7 +218,7 @@ class TextureStage:
             assert self.normal_uvs is not None
             mesh, cover = mesh.with_surface(bake_surface(mesh.surface, self.normal_uvs)), self.cover_moved
         side = self.settings.color_size_px
-        baked = bake_materials(self.character, mesh, self.atlas.resampled, side, cover, self.notes)
+        baked = bake_materials(self.character, mesh, self.atlas.resampled, side, cover, self.atlas.sides)
         return [self._material(texture) for texture in baked]
 
     def _material(self, texture: BakedTexture) -> _Job:
@@ -277,19 +264,15 @@ class TextureStage:
         return self.atlas.made_seams[faces, half_edge] & (materials[:, 0] == materials[:, 1])
 
     def _store_all(self, jobs: list[_Job]) -> list[StoredTexture]:
-        """Store textures that share their erasers; a single one keeps no more than one of them at a time."""
-        plans: dict[tuple[int, int], Eraser] | None = {} if len(jobs) > 1 else None
-        return [self._store(job, plans) for job in jobs]
+        """Store textures that share the bands beside their seams."""
+        bands: Bands = {}
+        return [self._store(job, bands) for job in jobs]
 
     def _note(self, name: str, levels: Sequence[Level], size: tuple[int, int]) -> None:
-        """What was approximated because the seams are so many."""
-        large = [level for level in levels if level.is_large]
-        if large:
-            worst = 255 * max(level.stored.max.max(initial=0.0) for level in large)
-            self.notes.append(
-                f"{name}: so many seams that large levels ({len(large)}) were erased once, whatever rounding left: "
-                f"seams jump by {worst:.1f} of 255 at most"
-            )
+        """What could not be done."""
+        worst = 255 * max(level.stored.max.max(initial=0.0) for level in levels)
+        if worst > MOST_STORED:
+            self.notes.append(f"{name}: its seams could not be closed: they jump by up to {worst:.1f} of 255")
         sizes = mip_sizes(*size)
         if len(levels) < len(sizes) and is_crowded(self.mesh.surface, self.seams, *sizes[len(levels)]):
             last = sizes[len(levels) - 1]
@@ -297,7 +280,7 @@ class TextureStage:
                 f"{name}: mip levels end at {last[0]} x {last[1]}: below, charts are narrower than texels"
             )
 
-    def _store(self, job: _Job, plans: dict[tuple[int, int], Eraser] | None = None) -> StoredTexture:
+    def _store(self, job: _Job, bands: Bands | None = None) -> StoredTexture:
         """Erase a texture and its mip levels, rounded so that what is stored is seamless."""
         steps, left = STEPS[job.format], job.decision.num_left
         surface, seams = job.erased_on or (self.mesh.surface, self.seams)
@@ -307,17 +290,15 @@ class TextureStage:
             if job.samples is not None:
                 weights = dataclasses.replace(weights, samples=SAMPLE_WEIGHT * len(job.samples[0]))
             options = dataclasses.replace(options, joined=None, weights=weights)
-        levels = erase_mips(
-            job.baked,
-            surface,
-            seams,
-            options,
-            levels=steps,
-            srgb_channels=job.srgb_channels,
-            most_change=MOST_MIP_CHANGE["color" if job.srgb_channels else "other"],
-            plans=plans,
-            samples=job.samples,
-        )
+        how: dict[str, Any] = {
+            "levels": steps,
+            "srgb_channels": job.srgb_channels,
+            "most_change": MOST_MIP_CHANGE["color" if job.srgb_channels else "other"],
+        }
+        if self.settings.seams == "global":
+            levels = erase_mips(job.baked, surface, seams, options, samples=job.samples, **how)
+        else:
+            levels = close_mips(job.baked, surface, seams, options, bands=bands, **how)
         seam: dict[str, Any] = {
             "before": jump(levels[0].before),
             "after": jump(levels[0].after),
@@ -325,6 +306,7 @@ class TextureStage:
         }
         if left:
             seam["left"] = left
+            seam["left_seams"] = pack_seams(self.mesh.surface, self.seams, ~job.decision.joined)
         texels = tuple(level.texels / float(steps) for level in levels)
         height, width = job.baked.shape[:2]
         self._note(job.name, levels, (width, height))

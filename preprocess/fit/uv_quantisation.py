@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from preprocess.arrays import Floats
 from preprocess.decimate import Lod
+from preprocess.mesh.face_geometry import doubled_signed_areas
 from preprocess.mesh.surface import SkinnedMesh
 from preprocess.mesh.texels import snap_canonical_uvs
 
@@ -60,5 +61,4 @@ def _snapped(uvs: Floats, distinct: NDArray[np.integer] | slice) -> Floats | Non
 
 def _sides(corners: Floats) -> NDArray[np.float64]:
     """Which way uv triangles (F, 3, 2) turn: 1, -1 or 0, (F,)."""
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    return np.sign(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    return np.sign(doubled_signed_areas(corners))

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from preprocess.arrays import Floats
 from preprocess.fit.shared_records import share_corners
-from preprocess.fit.weight_stack import pack_weights, unpack_weights
 from preprocess.mesh.seams import Seams
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.mesh.texels import sample_bilinear, uv_to_px
 from runtime.asset.weight_quadtree import WeightDetails, build_quadtree
+from runtime.asset.weight_stack import WEIGHT_STEPS, pack_weights, unpack_pairs, unpack_weights
 
 DEEPEST = 8  # a vertex a leaf, wherever two can be told apart
 WEIGHT_ALLOWED = 60.0  # how far any weight may be off, times how far points may be: for poses that nobody sampled
@@ -217,16 +217,15 @@ def _as_lists(corners: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     if not len(corners):
         return np.zeros((0, 4, 1), np.int64), np.zeros((0, 4, 1), np.int64)
     packed = pack_weights(corners)
-    images = packed.stack.reshape(-1, 2, len(corners), 4, 4).astype(np.int64)
-    joints, weights = np.concatenate(list(images), axis=-1)[..., : packed.slots]
-    return joints, weights // (1 if packed.stack.dtype == np.uint8 else 257)
+    joints, weights = unpack_pairs(packed.stack, packed.size)
+    return joints[..., : packed.slots], weights[..., : packed.slots]
 
 
 def dense_leaves(details: WeightDetails, num_joints: int) -> Floats:
     """Weights at the leaves' corners, (L, 4, J) float64."""
     dense = np.zeros((*details.joints.shape[:2], num_joints))
     leaf, corner = np.arange(len(dense))[:, None, None], np.arange(4)[:, None]
-    np.add.at(dense, (leaf, corner, details.joints), details.weights / 255.0)
+    np.add.at(dense, (leaf, corner, details.joints), details.weights / WEIGHT_STEPS)
     return dense
 
 

@@ -25,6 +25,7 @@ CANONICAL_SLACK = 4.0
 # Squared relative distance from the rest pose that counts as none (1e-5 of the part's size).
 MATCH_REL_SQ = 1e-10
 SINGULAR_REL = 1e-12
+MOST_CANDIDATES = 64  # joints whose drawn placement may be that of the mesh: those that hold most of it
 
 
 def is_invertible(matrix: Floats) -> bool:
@@ -47,9 +48,12 @@ class JointList:
         scale = np.abs(inverse_bind[:3, :3]).max()
         tolerance = np.full((4, 4), SAME_JOINT_REL * scale)
         tolerance[:3, 3] *= max(size_m, 1e-30)
-        for known in self._by_node.get(node, []):
-            if (np.abs(self.inverse_binds[known] - inverse_bind) <= tolerance).all():
-                return known
+        known = self._by_node.get(node, [])
+        if known:
+            others = np.stack([self.inverse_binds[index] for index in known])
+            same = np.logical_and.reduce(np.abs(others - inverse_bind) <= tolerance, axis=(1, 2))
+            if same.any():
+                return known[int(same.argmax())]
         self.nodes.append(node)
         self.inverse_binds.append(inverse_bind)
         self._by_node.setdefault(node, []).append(len(self.nodes) - 1)
@@ -123,7 +127,7 @@ def place_skin(
                 return placement
     candidates = [matrix for matrix in canonical if is_invertible(matrix)]
     num_canonical = len(candidates)
-    candidates += [drawn[j] for j in by_mass if masses[j] > 0 and is_invertible(drawn[j])]
+    candidates += [drawn[j] for j in by_mass[:MOST_CANDIDATES] if masses[j] > 0 and is_invertible(drawn[j])]
     if not candidates:
         return np.eye(4)
     misses = [_mismatch(candidate, drawn, moments) for candidate in candidates]

@@ -13,12 +13,14 @@ from pathlib import Path
 from preprocess.errors import InputError
 from preprocess.load.character import Character
 from preprocess.load.materials import note_missing_texcoords, read_materials
+from preprocess.load.mirrored import show_both_sides
 from preprocess.load.scene import read_scene
 from preprocess.load.unify import unify
 from runtime.animation.clip import Clip, read_clips
 from runtime.animation.skeleton import distinct_names, read_skeleton
 from runtime.errors import AssetError
 from runtime.gltf.document import Document, read_document
+from runtime.gltf.limits import LIMITS, Limits
 
 log = logging.getLogger(__name__)
 
@@ -94,6 +96,7 @@ def _load(document: Document) -> Character:
     warnings += [fault.replace(f"{document.path}: ", "") for fault in faults]
     warnings += _dropped_channels(document, clips)
     clips = _distinct_clips(clips, warnings)
+    mesh, materials = show_both_sides(mesh, materials, scene.parts, skeleton, clips, warnings)
     return Character(
         name=document.path.stem.encode("utf-8", "replace").decode(),
         source=document.path,
@@ -106,7 +109,7 @@ def _load(document: Document) -> Character:
     )
 
 
-def load_character(path: Path | str) -> Character:
+def load_character(path: Path | str, limits: Limits = LIMITS) -> Character:
     """Load a .gltf, .glb or .vrm file as one character.
 
     Everything in the default scene that has a mesh becomes one welded mesh in bind pose (binding.py says what that
@@ -117,6 +120,8 @@ def load_character(path: Path | str) -> Character:
     Parameters
     ----------
     path : Path or str
+    limits : Limits
+        What a file may ask for.
 
     Returns
     -------
@@ -128,7 +133,7 @@ def load_character(path: Path | str) -> Character:
         If the file is missing, not glTF 2.0, damaged, compressed, or has no mesh: one line that says what to do.
     """
     try:
-        character = _load(read_document(path))
+        character = _load(read_document(path, limits))
     except AssetError as error:
         raise InputError(str(error)) from None
     log.info(

@@ -14,15 +14,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
-from preprocess.arrays import Floats, Indices
-from preprocess.mesh.grouping import group_rows, join_pairs
+from preprocess.arrays import Bools, Floats, Indices
+from preprocess.mesh.face_geometry import face_areas
+from preprocess.mesh.grouping import connected_groups, group_rows
 
 ANGLE_ROUNDS = 4  # enough for nine faces on an edge; more are cut apart
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -160,7 +159,9 @@ def _orient(half: _HalfEdges, mate: Indices, areas: Floats) -> tuple[Bools, int]
     clash = half.forward[left] == half.forward[right]
     if not clash.any():
         return np.zeros(num_faces, bool), 0
-    _, states = join_pairs(2 * num_faces, np.r_[f, f + num_faces], np.r_[g + num_faces * clash, g + num_faces * ~clash])
+    _, states = connected_groups(
+        2 * num_faces, np.r_[f, f + num_faces], np.r_[g + num_faces * clash, g + num_faces * ~clash]
+    )
     as_is, turned_state = states[:num_faces], states[num_faces:]
     area_of_state = np.bincount(as_is, areas, minlength=states.max() + 1)
     turned = area_of_state[turned_state] > area_of_state[as_is] * (1 + 1e-9)
@@ -214,7 +215,7 @@ def _corner_vertices(half: _HalfEdges, mate: Indices) -> tuple[int, Indices]:
     right = mate[left]
     same_way = half.start[left] == half.start[right]
     start, end = half.start_corner[right], half.end_corner[right]
-    num, labels = join_pairs(
+    num, labels = connected_groups(
         half.num,
         np.r_[half.start_corner[left], half.end_corner[left]],
         np.r_[np.where(same_way, start, end), np.where(same_way, end, start)],
@@ -251,8 +252,7 @@ def make_manifold(
     """
     half = _HalfEdges(faces)
     mate = _find_mates(half, faces, positions, corner_sources, corner_uvs, parts)
-    edges = positions[faces[:, 1:]] - positions[faces[:, :1]]
-    areas = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    areas = face_areas(positions[faces])
     turned, num_unorientable = _orient(half, mate, areas)
     corners = np.where(turned[:, None], [0, 2, 1], [0, 1, 2])
 

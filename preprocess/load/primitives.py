@@ -5,7 +5,7 @@ Sources: glTF 2.0 specification, section 3.7; KHR_mesh_quantization (accessors o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -136,6 +136,15 @@ def _numbered(
     return found
 
 
+def _whole(joints: NDArray[Any], where: str) -> NDArray[np.int64]:
+    """Joint numbers as integers, also where an exporter stored them as floats."""
+    if joints.dtype.kind == "f":
+        with np.errstate(invalid="ignore"):
+            if not ((joints == np.rint(joints)) & (np.abs(joints) < 2**31)).all():
+                raise InputError(f"{where}: JOINTS are not whole numbers: export the file again")
+    return joints.astype(np.int64)
+
+
 def _read_texcoords(
     document: Document, attributes: dict[str, Any], count: int, where: str, warnings: list[str]
 ) -> Floats:
@@ -143,9 +152,11 @@ def _read_texcoords(
     if not sets:
         return np.zeros((count, 0, 2))
     texcoords = np.stack([values.astype(np.float64) for values in sets], axis=1)
-    bad = ~np.isfinite(texcoords).all(axis=2)
+    bad = ~(np.abs(texcoords) <= document.limits.uv).all(axis=2)
     if bad.any():
-        warnings.append(f"{where}: {int(bad.sum())} texture coordinates are not finite: set to 0")
+        warnings.append(
+            f"{where}: {int(bad.sum())} texture coordinates are not finite or beyond {document.limits.uv:g}: set to 0"
+        )
         texcoords[bad] = 0.0
     return texcoords
 
@@ -202,11 +213,7 @@ def read_primitive(
     if spec.get("targets"):
         warnings.append(f"{where}: {len(spec['targets'])} morph targets dropped")
         positions, normals = _blend_targets(document, spec, morph_weights, positions, normals, where)
-    used = np.zeros(count, bool)
-    used[faces.ravel()] = True
-    if not np.isfinite(positions[used]).all():
-        bad = int((~np.isfinite(positions[used]).all(axis=1)).sum())
-        raise InputError(f"{where}: {bad} positions are not finite numbers: repair the mesh and export it again")
+    check_positions(positions[np.unique(faces)], document.limits.number, where)
     tangents = _attribute(document, attributes, "TANGENT", count, (4,), where)
     colors = _attribute(document, attributes, "COLOR_0", count, (3, 4), where)
     if colors is not None:
@@ -215,7 +222,7 @@ def read_primitive(
         colors = opaque
     if "COLOR_1" in attributes:
         warnings.append(f"{where}: COLOR_1 dropped (glTF draws COLOR_0 alone)")
-    joints = _numbered(document, attributes, "JOINTS", count, 4, where)
+    joints = [_whole(values, where) for values in _numbered(document, attributes, "JOINTS", count, 4, where)]
     weights = _numbered(document, attributes, "WEIGHTS", count, 4, where)
     if len(joints) != len(weights):
         raise InputError(f"{where} has {len(joints)} JOINTS but {len(weights)} WEIGHTS sets: export the file again")
@@ -226,8 +233,33 @@ def read_primitive(
         tangents=None if tangents is None else tangents.astype(np.float64),
         texcoords=_read_texcoords(document, attributes, count, where, warnings),
         colors=colors,
-        joints=np.concatenate(joints, axis=1).astype(np.int64) if joints else None,
+        joints=np.concatenate(joints, axis=1) if joints else None,
         weights=np.concatenate(weights, axis=1).astype(np.float64) if weights else None,
         material=spec.get("material"),
     )
-    return primitive, warnings
+    return _without_unused(primitive), warnings
+
+
+def check_positions(positions: Floats, most: float, where: str) -> None:
+    """Refuse positions that the pipeline cannot carry.
+
+    Raises
+    ------
+    InputError
+    """
+    bad = ~(np.abs(positions) <= most).all(axis=1)
+    if bad.any():
+        raise InputError(
+            f"{where}: {int(bad.sum())} positions are not finite or beyond {most:g}: repair the mesh and export again"
+        )
+
+
+def _without_unused(primitive: Primitive) -> Primitive:
+    """The primitive with only the vertices that its faces use: many primitives may share one long list of them."""
+    used, corners = np.unique(primitive.faces, return_inverse=True)
+    if len(used) == len(primitive.positions):
+        return primitive
+    arrays = ("positions", "normals", "tangents", "texcoords", "colors", "joints", "weights")
+    values = {name: getattr(primitive, name) for name in arrays}
+    kept: dict[str, Any] = {name: None if array is None else array[used] for name, array in values.items()}
+    return replace(primitive, faces=corners.reshape(-1, 3), **kept)

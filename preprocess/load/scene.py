@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from preprocess.arrays import Floats
 from preprocess.errors import InputError
 from preprocess.load.binding import JointList, moments_of, place_rigid, place_skin
-from preprocess.load.primitives import Primitive, read_primitive
+from preprocess.load.primitives import Primitive, check_positions, read_primitive
 from runtime.animation.pose import global_transforms, rest_pose
 from runtime.animation.skeleton import read_skeleton
 from runtime.gltf.document import Document
@@ -95,6 +95,13 @@ class _Skin:
 def _choose_scene(document: Document, warnings: list[str]) -> list[int]:
     """Roots of the default scene, or of the first with a mesh where that one shows none."""
     scenes, nodes = document.items("scenes"), document.items("nodes")
+    shown: dict[int, bool] = {}  # whether a root shows a mesh: scenes may share roots
+
+    def shows_mesh(root: int) -> bool:
+        if root not in shown:
+            shown[root] = any("mesh" in document.item("nodes", node) for node in _nodes_below(document, [root]))
+        return shown[root]
+
     if not scenes:
         children = {child for node in nodes for child in node.get("children", [])}
         return [index for index in range(len(nodes)) if index not in children]
@@ -102,7 +109,7 @@ def _choose_scene(document: Document, warnings: list[str]) -> list[int]:
     candidates = [document.item("scenes", default), *scenes]
     for number, scene in enumerate(candidates):
         roots: list[int] = scene.get("nodes", [])
-        if any("mesh" in document.item("nodes", node) for node in _nodes_below(document, roots)):
+        if any(map(shows_mesh, roots)):
             if number:
                 warnings.append(f"scene {default} shows no mesh: scene {number - 1} is built instead")
             return roots
@@ -110,10 +117,14 @@ def _choose_scene(document: Document, warnings: list[str]) -> list[int]:
 
 
 def _nodes_below(document: Document, roots: list[int]) -> Iterator[int]:
-    """Roots and all nodes below them, parents first, children in the file's order."""
+    """Roots and all nodes below them once, parents first, children in the file's order."""
     stack = list(reversed(roots))
+    seen: set[int] = set()
     while stack:
         index = stack.pop()
+        if index in seen:
+            continue
+        seen.add(index)
         yield index
         stack.extend(reversed(document.item("nodes", index).get("children", [])))
 
@@ -133,17 +144,23 @@ def _read_skin(document: Document, index: int) -> _Skin:
             raise InputError(f"{where} has {len(matrices)} inverse bind matrices for {len(nodes)} joints: export again")
         inverse = matrices[: len(nodes)]
         inverse[:, 3] = (0, 0, 0, 1)
-        if not np.isfinite(inverse).all():
-            raise InputError(f"{where} has inverse bind matrices that are not finite: export the file again")
+        if not (np.abs(inverse) <= document.limits.number).all():
+            raise InputError(f"{where} has inverse bind matrices that are not finite or far out of range: export again")
     return _Skin(list(nodes), inverse)
 
 
 def _read_instances(document: Document, warnings: list[str]) -> list[_Instance]:
-    """Every primitive of every mesh node of the scene, decoded once a mesh."""
+    """Every primitive of every mesh node of the scene, each mesh decoded once; of levels of detail, the first alone."""
     meshes: dict[int, list[tuple[Primitive, str]]] = {}
-    instances = []
-    for node in _nodes_below(document, _choose_scene(document, warnings)):
+    instances: list[_Instance] = []
+    roots = _choose_scene(document, warnings)
+    lower = _lower_levels(document, roots)
+    hidden, num_faces = 0, 0
+    for node in _nodes_below(document, roots):
         spec = document.item("nodes", node)
+        if node in lower:
+            hidden += "mesh" in spec
+            continue
         if "EXT_mesh_gpu_instancing" in spec.get("extensions", {}):
             raise InputError(
                 f"{document.path.name}: node {node} is instanced: export its copies as meshes of their own"
@@ -155,7 +172,24 @@ def _read_instances(document: Document, warnings: list[str]) -> list[_Instance]:
             meshes[mesh] = _read_mesh(document, mesh, spec, warnings)
         skin = spec.get("skin")
         instances += [_Instance(node, skin, primitive, where) for primitive, where in meshes[mesh]]
+        num_faces += sum(len(primitive.faces) for primitive, _ in meshes[mesh])
+        if num_faces > document.limits.triangles:
+            raise InputError(
+                f"{document.path.name} has more than {document.limits.triangles} triangles, counting each copy of a "
+                "mesh: simplify it, or raise --limit triangles=N"
+            )
+    if hidden:
+        warnings.append(f"{hidden} meshes left out: lower levels of detail (MSFT_lod) of others in the scene")
     return instances
+
+
+def _lower_levels(document: Document, roots: list[int]) -> set[int]:
+    """Nodes that are lower levels of detail of others in the scene (MSFT_lod), with all below them."""
+    levels: list[int] = []
+    for node in _nodes_below(document, roots):
+        level_ids = document.item("nodes", node).get("extensions", {}).get("MSFT_lod", {}).get("ids", [])
+        levels += [level for level in level_ids if level != node]
+    return set(_nodes_below(document, levels))
 
 
 def _read_mesh(
@@ -206,13 +240,14 @@ def _clean_weights(instance: _Instance, num_joints: int, warnings: list[str]) ->
     return joints, weights / sums[:, None]
 
 
-def _place(instance: _Instance, placement: Floats, joints: NDArray[np.int64], weights: Floats) -> Part:
+def _place(instance: _Instance, placement: Floats, joints: NDArray[np.int64], weights: Floats, most: float) -> Part:
     """A part in object space: positions by the placement, normals by its inverse transpose."""
     primitive = instance.primitive
     identity = bool((placement == np.eye(4)).all())
     linear, shift = placement[:3, :3], placement[:3, 3]
     mirrored = np.linalg.det(linear) < 0
     positions = primitive.positions if identity else primitive.positions @ linear.T + shift
+    check_positions(positions, most, instance.where)
     normals = primitive.normals if primitive.normals is not None else np.full_like(positions, np.nan)
     tangents = primitive.tangents
     if not identity:
@@ -244,22 +279,28 @@ class _Binder:
         tree = read_skeleton(document, list(range(num_nodes)), np.tile(np.eye(4), (num_nodes, 1, 1)))
         shown = dataclasses.replace(tree, scale=np.where(np.abs(tree.scale) < ZERO_SCALE, 1.0, tree.scale))
         self.rest = np.empty((num_nodes, 4, 4))
-        self.rest[tree.document_nodes] = global_transforms(shown, rest_pose(shown))[0]
+        with np.errstate(over="ignore", invalid="ignore"):  # scales may multiply beyond all numbers down a tree
+            self.rest[tree.document_nodes] = global_transforms(shown, rest_pose(shown))[0]
         self.parents = np.full(num_nodes, -1, np.int64)
         has_parent = tree.parents >= 0
         self.parents[tree.document_nodes[has_parent]] = tree.document_nodes[tree.parents[has_parent]]
         self.joints = JointList()
         self.known: dict[int, Floats] = {}  # bind-pose globals of joints
+        self.order = np.empty(num_nodes, np.int64)  # parents before children
+        self.order[tree.document_nodes] = np.arange(num_nodes)
+        self.most_joints, self.where = document.limits.joints, document.path.name
 
-    def _depth(self, node: int) -> int:
-        depth = 0
-        while self.parents[node] >= 0:
-            node, depth = int(self.parents[node]), depth + 1
-        return depth
+    def _add_joint(self, node: int, inverse_bind: Floats) -> int:
+        index = self.joints.add(node, inverse_bind, self.size_m)
+        if len(self.joints.nodes) > self.most_joints:
+            raise InputError(
+                f"{self.where} has more than {self.most_joints} joints: remove some, or raise --limit joints=N"
+            )
+        return index
 
     def add_skin(self, skin: _Skin, mesh_node: int, moments: Floats) -> tuple[Floats, NDArray[np.int64]]:
         """Placement of a skin's meshes and the joint of each of its joints."""
-        top = int(self.parents[min(skin.nodes, key=self._depth)])
+        top = int(self.parents[min(skin.nodes, key=lambda node: self.order[node])])
         above = self.rest[top] if top >= 0 else np.eye(4)
         placement = place_skin(
             drawn=self.rest[skin.nodes] @ skin.inverse,
@@ -270,7 +311,7 @@ class _Binder:
             inverse=skin.inverse,
         )
         inverse = skin.inverse if (placement == np.eye(4)).all() else skin.inverse @ np.linalg.inv(placement)
-        indices = [self.joints.add(node, matrix, self.size_m) for node, matrix in zip(skin.nodes, inverse)]
+        indices = [self._add_joint(node, matrix) for node, matrix in zip(skin.nodes, inverse)]
         for node, matrix in zip(skin.nodes, inverse):
             if node not in self.known and abs(np.linalg.det(matrix[:3, :3])) > 0:
                 self.known[node] = np.linalg.inv(matrix)
@@ -280,7 +321,7 @@ class _Binder:
         """Placement of a rigid part and its joint."""
         placement = place_rigid(node, self.parents, self.rest, self.known)
         inverse = np.linalg.inv(placement).astype(np.float64)
-        return placement, self.joints.add(node, inverse, self.size_m)
+        return placement, self._add_joint(node, inverse)
 
 
 def read_scene(document: Document) -> Scene:
@@ -319,13 +360,13 @@ def read_scene(document: Document) -> Scene:
             total += moments_of(instance.primitive.positions, joints, weights, len(skin.nodes))
         placement, to_joint = binder.add_skin(skin, members[0][0].node, total)
         for instance, joints, weights in members:
-            placed[id(instance)] = _place(instance, placement, to_joint[joints], weights)
+            placed[id(instance)] = _place(instance, placement, to_joint[joints], weights, document.limits.number)
     for instance in instances:
         if id(instance) not in placed:
             placement, joint = binder.add_rigid(instance.node)
             count = len(instance.primitive.positions)
             placed[id(instance)] = _place(
-                instance, placement, np.full((count, 1), joint, np.int64), np.ones((count, 1))
+                instance, placement, np.full((count, 1), joint, np.int64), np.ones((count, 1)), document.limits.number
             )
     return Scene(
         parts=tuple(placed[id(instance)] for instance in instances),

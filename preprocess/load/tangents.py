@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.arrays import Floats, Indices
-from preprocess.mesh.grouping import group_rows, join_pairs
+from preprocess.mesh.grouping import connected_groups, group_rows
 from preprocess.mesh.surface import SkinnedMesh
 
 
@@ -117,7 +117,7 @@ def compute_tangents(positions: Floats, faces: NDArray[np.integer], normals: Flo
     ids, _ = group_rows(faces.reshape(-1), *(flat_normals.T + 0.0), *(uvs.reshape(-1, 2).T + 0.0))
     left, right = _linked_corners(ids.reshape(-1, 3))
     same = usable[left // 3] & usable[right // 3] & ((area > 0)[left // 3] == (area > 0)[right // 3])
-    num_groups, groups = join_pairs(3 * len(faces), left[same], right[same])
+    num_groups, groups = connected_groups(3 * len(faces), left[same], right[same])
 
     along = _in_plane(np.repeat(direction, 3, axis=0), flat_normals)
     ahead = _in_plane((np.roll(corners, -1, axis=1) - corners).reshape(-1, 3), flat_normals)

@@ -24,7 +24,8 @@ from preprocess.load.weld import (
     find_duplicates,
     weld_vertices,
 )
-from preprocess.mesh.corner_normals import CREASE_RAD, face_normals, smooth_corner_normals
+from preprocess.mesh.corner_normals import CREASE_RAD, smooth_corner_normals
+from preprocess.mesh.face_geometry import face_normals
 from preprocess.mesh.grouping import group_rows
 from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
 
@@ -124,7 +125,7 @@ def _corner_normals(
     missing = np.logical_or.reduce(np.isnan(corner), axis=2)
     turned = (manifold.corners[:, 1] == 2)[:, None]
     if turned.any():
-        facing = np.einsum("fkc,fc->fk", corner, face_normals(positions, manifold.faces))
+        facing = np.einsum("fkc,fc->fk", corner, face_normals(positions[manifold.faces]))
         corner = np.where((turned & (facing < 0))[:, :, None], -corner, corner)
     if missing.any():
         count, degrees = int(missing.any(axis=1).sum()), round(float(np.rad2deg(CREASE_RAD)))

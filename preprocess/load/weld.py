@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.arrays import Floats, Indices
+from preprocess.mesh.face_geometry import face_areas
 from preprocess.mesh.grouping import cluster_points, group_rows
 
 WELD_REL = 1e-6  # of the bounding diagonal: some ten roundings of a float32 position
@@ -149,7 +150,7 @@ def faces_with_area(positions: Floats, faces: Indices, diagonal_m: float) -> NDA
     distinct = (a != b) & (b != c) & (c != a)
     corners = positions[faces]
     sides = np.roll(corners, -1, axis=1) - corners
-    doubled_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    doubled_area = 2.0 * face_areas(corners)
     longest = np.linalg.norm(sides, axis=2).max(axis=1, initial=0.0)
     return distinct & (doubled_area > FLAT_REL * diagonal_m * longest)
 

@@ -1,4 +1,4 @@
-"""Vectorised grouping: equal rows, nearly equal points, connected things. The helpers that welding stands on."""
+"""Vectorised grouping: equal rows, nearly equal points, connected components."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def group_rows(*columns: NDArray[np.generic]) -> tuple[Indices, Indices]:
     return groups, np.sort(firsts)
 
 
-def join_pairs(num_items: int, left: Indices, right: Indices) -> tuple[int, Indices]:
+def connected_groups(num_items: int, left: NDArray[np.integer], right: NDArray[np.integer]) -> tuple[int, Indices]:
     """Connected components of items 0 .. n - 1 under the links left[i] - right[i], numbered by first occurrence.
 
     Returns
@@ -52,6 +52,12 @@ def join_pairs(num_items: int, left: Indices, right: Indices) -> tuple[int, Indi
     _, components = connected_components(graph, directed=False)
     labels, firsts = group_rows(components)
     return len(firsts), labels
+
+
+def connected_faces(faces: NDArray[np.integer], num_vertices: int) -> Indices:
+    """Component of each face over shared vertices, (F,) int64, numbered by first occurrence."""
+    _, labels = connected_groups(num_vertices, faces[:, :2].ravel(), faces[:, 1:].ravel())
+    return group_rows(labels[faces[:, 0]])[0]
 
 
 def cluster_points(points: NDArray[np.float64], tolerance: float) -> tuple[Indices, Indices]:
@@ -86,7 +92,7 @@ def cluster_points(points: NDArray[np.float64], tolerance: float) -> tuple[Indic
             right.append(firsts[groups])
     if not left:
         return exact, exact_firsts
-    _, joined = join_pairs(len(distinct), np.concatenate(left), np.concatenate(right))
+    _, joined = connected_groups(len(distinct), np.concatenate(left), np.concatenate(right))
     return group_rows(joined[exact])
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from preprocess.arrays import Floats, Ints
 from preprocess.errors import InputError
+from preprocess.mesh.edges import group_half_edges, next_corners
 from preprocess.mesh.surface import TexturedSurface
 
 
@@ -51,17 +52,10 @@ class Seams:
     foldover_uvs: Ints
 
 
-def _half_edges(faces: Ints) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Start and end of the three half-edges of every face, each (F, 3)."""
-    return faces, np.roll(faces, -1, axis=1)
-
-
 def count_crowded_edges(surface: TexturedSurface) -> int:
     """Number of 3D edges with three or more faces."""
-    start, end = (a.reshape(-1).astype(np.int64) for a in _half_edges(surface.faces))
-    real = start != end
-    keys = np.stack([np.minimum(start, end), np.maximum(start, end)], axis=1)[real]
-    return int((np.unique(keys, axis=0, return_counts=True)[1] > 2).sum())
+    groups = group_half_edges(surface.faces)
+    return int((groups.real & (groups.count > 2)).sum())
 
 
 def find_seams(surface: TexturedSurface, *, join_crowded: bool = False) -> Seams:
@@ -81,37 +75,31 @@ def find_seams(surface: TexturedSurface, *, join_crowded: bool = False) -> Seams
     InputError
         If a 3D edge has three or more faces, unless they are to be joined: such a mesh is split before it comes here.
     """
-    start, end = (a.reshape(-1).astype(np.int64) for a in _half_edges(surface.faces))
-    uv_start, uv_end = (a.reshape(-1).astype(np.int64) for a in _half_edges(surface.face_uvs))
-    face = np.repeat(np.arange(len(surface.faces)), 3)
-    real = start != end
-    start, end, uv_start, uv_end, face = (a[real] for a in (start, end, uv_start, uv_end, face))
-
-    # Sort half-edges by their undirected 3D edge; equal neighbours are the two halves of one edge.
-    low, high = np.minimum(start, end), np.maximum(start, end)
-    order = np.lexsort((face, high, low))
-    same = (low[order][1:] == low[order][:-1]) & (high[order][1:] == high[order][:-1])
-    first = np.flatnonzero(np.r_[True, ~same]) if len(order) else np.zeros(0, np.int64)
-    count = np.diff(np.r_[first, len(order)])
-    if (count > 2).any() and not join_crowded:
-        a = order[first[np.flatnonzero(count > 2)[0]]]
+    groups = group_half_edges(surface.faces)
+    start, end, count, real = groups.start, groups.end, groups.count, groups.real
+    uv_start = surface.face_uvs.reshape(-1).astype(np.int64)
+    uv_end = uv_start[next_corners(np.arange(len(uv_start)))]
+    face = np.arange(len(start)) // 3
+    crowded = real & (count > 2)
+    if crowded.any() and not join_crowded:
+        a = groups.order[groups.first[crowded][0]]
         raise InputError(
-            f"{int((count > 2).sum())} mesh edges have three or more faces (the first joins vertices "
-            f"{low[a]} and {high[a]}): split them before finding seams"
+            f"{int(crowded.sum())} mesh edges have three or more faces (the first joins vertices "
+            f"{min(start[a], end[a])} and {max(start[a], end[a])}): split them before finding seams"
         )
 
-    one = order[first[count == 1]]
-    left, right = order[first[count == 2]], order[first[count == 2] + 1]
-    crowd = order[np.repeat(count > 2, count)]
+    one = groups.order[groups.first[real & (count == 1)]]
+    left, right = groups.pairs(real & (count == 2))
+    crowd = groups.order[np.repeat(crowded, count)]
     if len(crowd):
         runs_up = start[crowd] < end[crowd]
         at_low = np.where(runs_up, uv_start[crowd], uv_end[crowd])
         at_high = np.where(runs_up, uv_end[crowd], uv_start[crowd])
-        crowd_order = np.lexsort((face[crowd], at_high, at_low, high[crowd], low[crowd]))
+        crowd_order = np.lexsort((face[crowd], at_high, at_low, groups.edge[crowd]))
         crowd = crowd[crowd_order]
-        key = np.stack([low[crowd], high[crowd], at_low[crowd_order], at_high[crowd_order]])
-        one_edge = (key[:2, 1:] == key[:2, :-1]).all(axis=0)
-        differ = np.flatnonzero(one_edge & (key[2:, 1:] != key[2:, :-1]).any(axis=0))
+        one_edge = groups.edge[crowd[1:]] == groups.edge[crowd[:-1]]
+        ends = np.stack([at_low[crowd_order], at_high[crowd_order]])
+        differ = np.flatnonzero(one_edge & (ends[:, 1:] != ends[:, :-1]).any(axis=0))
         left, right = np.concatenate([left, crowd[differ]]), np.concatenate([right, crowd[differ + 1]])
     # Bring the right half-edge's uvs into the left one's direction.
     opposed = start[left] == end[right]
@@ -177,3 +165,42 @@ def _find_foldovers(
     origin, tip = uv_start[left], uv_end[left]
     folded = side(left, origin, tip) * side(right, origin, tip) > 0
     return np.stack([origin[folded], tip[folded]], axis=1).astype(np.int32)
+
+
+STEPS_OF_UV = 4 * 65535  # to which uvs are rounded when seams are put in order: finer than they are stored
+
+
+def seam_order(surface: TexturedSurface, seams: Seams) -> NDArray[np.int64]:
+    """The seams in an order that depends on where they lie in the atlas alone, (S,).
+
+    Whoever finds the same seams anew, from a file whose faces and vertices have other numbers, puts them in the same
+    order.
+    """
+    steps = np.rint(surface.uvs[seams.uv_pairs] * STEPS_OF_UV).astype(np.int64)
+    keys = (steps[..., 0] << 32) + steps[..., 1]  # seam, side, end
+    keys = np.sort(keys, axis=2)
+    swapped = (keys[:, 0, 0] > keys[:, 1, 0]) | ((keys[:, 0, 0] == keys[:, 1, 0]) & (keys[:, 0, 1] > keys[:, 1, 1]))
+    keys = np.where(swapped[:, None, None], keys[:, ::-1], keys).reshape(-1, 4)
+    return np.lexsort(keys.T[::-1])
+
+
+def pack_seams(surface: TexturedSurface, seams: Seams, mask: NDArray[np.bool_]) -> str:
+    """Some of the seams, (S,) bool, as text: bits in the order of `seam_order`, hexadecimal."""
+    return np.packbits(mask[seam_order(surface, seams)]).tobytes().hex()
+
+
+def unpack_seams(surface: TexturedSurface, seams: Seams, text: str) -> NDArray[np.bool_]:
+    """The inverse of `pack_seams`.
+
+    Raises
+    ------
+    ValueError
+        If the text is not of as many seams.
+    """
+    data = bytes.fromhex(text)
+    count = len(seams.uv_pairs)
+    if len(data) != -(-count // 8):
+        raise ValueError(f"{8 * len(data)} bits are not {count} seams")
+    mask = np.zeros(count, bool)
+    mask[seam_order(surface, seams)] = np.unpackbits(np.frombuffer(data, np.uint8))[:count].astype(bool)
+    return mask

@@ -129,7 +129,7 @@ def apply_split(mesh: SkinnedMesh, split: EdgeSplit) -> SkinnedMesh:
     """Carry a split of a character's surface over to everything that lives on its corners and vertices.
 
     Normals are averaged and normalised, tangents likewise with their handedness kept; weights are averaged, with more
-    influences a vertex where the two ends together have more.
+    influences per vertex where the two ends together have more.
     """
     source, weights = split.face_source, split.corner_weights
     whole = (weights == 1.0).any(axis=2)  # corners that were corners before: copied bit by bit

@@ -1,6 +1,6 @@
 """The arrays that flow through the pipeline. Stages return new ones and never change their input.
 
-Letters in shapes: V surface vertices, T texture vertices, F faces, J joints, K influences a vertex, L texcoord sets.
+Letters in shapes: V surface vertices, T texture vertices, F faces, J joints, K influences per vertex, L texcoord sets.
 A surface vertex is a welded 3D point; a texture vertex is one of its uv images. Where a surface vertex has two or
 more texture vertices a seam runs through it (paper, section 5.2: the pair is the paper's Z vertex).
 """
@@ -63,11 +63,11 @@ class SkinnedMesh:
         In object space at bind pose. After loading, its uvs are the source's TEXCOORD_0 welded (one uv at 0, 0
         for all corners where the file has none: see `has_uvs`); after the atlas stage, the atlas.
     corner_normals : (F, 3, 3) float64
-        Unit normals a corner, object space, from the file (or computed where it has none).
+        Unit normals per corner, object space, from the file (or computed where it has none).
     corner_tangents : (F, 3, 4) float64 or None
         glTF tangents (xyz, handedness) where the file has them, NaN where it has none.
     corner_texcoords : (F, 3, L, 2) float64
-        The source's own texture coordinates a corner, one a TEXCOORD set (L may be 0). They stay when the atlas
+        The source's own texture coordinates per corner, one per TEXCOORD set (L may be 0). They stay when the atlas
         changes: colours are resampled through them.
     corner_colors : (F, 3, 4) float32 or None
         Linear vertex colours (COLOR_0), white where a part has none.

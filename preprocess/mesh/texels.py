@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.asset.lod_mesh import UV_STEPS
+
 FloatArray = NDArray[np.floating]
 
 
@@ -75,9 +77,6 @@ def sample_bilinear(image: FloatArray, uvs: FloatArray) -> NDArray[np.float64]:
     texels, weights = bilinear_stencil(uvs, width, height)
     flat = np.asarray(image, np.float64).reshape(-1, channels)
     return np.einsum("nk,nkc->nc", weights, flat[texels])
-
-
-UV_STEPS = 65535  # uvs of vertices, canonical uvs and normal uvs are stored as 16-bit numbers
 
 
 def snap_canonical_uvs(uvs: FloatArray) -> NDArray[np.float64]:

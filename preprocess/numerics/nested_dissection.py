@@ -12,14 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from preprocess.arrays import Floats
+from preprocess.arrays import Floats, Indices
 
 FEW = 20  # so many unknowns are not halved any further
 
-Int64s = NDArray[np.int64]
 
-
-def order_by_dissection(matrix: sparse.csr_array | sparse.csc_array, points: Floats) -> Int64s:
+def order_by_dissection(matrix: sparse.csr_array | sparse.csc_array, points: Floats) -> Indices:
     """Order of elimination.
 
     Parameters
@@ -35,8 +33,8 @@ def order_by_dissection(matrix: sparse.csr_array | sparse.csc_array, points: Flo
         The unknown at every step.
     """
     in_second = np.zeros(len(points), np.bool_)
-    waiting: list[tuple[Int64s, bool]] = [(np.arange(len(points)), len(points) <= FEW)]
-    parts: list[Int64s] = []  # the last first
+    waiting: list[tuple[Indices, bool]] = [(np.arange(len(points)), len(points) <= FEW)]
+    parts: list[Indices] = []  # the last first
     while waiting:
         chosen, is_done = waiting.pop()
         if is_done:
@@ -55,7 +53,9 @@ def order_by_dissection(matrix: sparse.csr_array | sparse.csc_array, points: Flo
     return np.concatenate(parts[::-1])
 
 
-def _touches(matrix: sparse.csr_array | sparse.csc_array, rows: Int64s, marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _touches(
+    matrix: sparse.csr_array | sparse.csc_array, rows: Indices, marked: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
     """Which of some rows have an entry in a marked column, (len(rows),)."""
     starts, counts = matrix.indptr[rows], matrix.indptr[rows + 1] - matrix.indptr[rows]
     owner = np.repeat(np.arange(len(rows)), counts)

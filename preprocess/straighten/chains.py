@@ -14,15 +14,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from preprocess.arrays import Floats, Ints
+from preprocess.arrays import Bools, Floats, Indices, Ints
 from preprocess.mesh.seams import find_seams
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.numerics.jit import entry
-
-Int64s = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -54,7 +50,7 @@ class Chains:
         return len(self.is_seam)
 
     @property
-    def point_chains(self) -> Int64s:
+    def point_chains(self) -> Indices:
         """Chain of every point, (P,) int64."""
         return np.repeat(np.arange(self.num_chains), np.diff(self.offsets))
 
@@ -98,7 +94,7 @@ def find_chains(surface: TexturedSurface) -> Chains:
     )
 
 
-def _find_regular_vertices(uv_ids: Int64s, first: Int64s, incident: Int64s) -> Bools:
+def _find_regular_vertices(uv_ids: Indices, first: Indices, incident: Indices) -> Bools:
     """Which surface vertices the silhouette passes through cleanly, (V,) bool.
 
     `first` and `incident` list, a vertex, the ends of silhouette edges there: end h is end h % 2 of edge h // 2.
@@ -112,7 +108,7 @@ def _find_regular_vertices(uv_ids: Int64s, first: Int64s, incident: Int64s) -> B
     return regular
 
 
-def _start_loops_at_corners(joint: Floats, uv_points: Int64s, offsets: Int64s, is_loop: Bools) -> Int64s:
+def _start_loops_at_corners(joint: Floats, uv_points: Indices, offsets: Indices, is_loop: Bools) -> Indices:
     """Order of the points in which every loop starts, and so keeps a point, where it is farthest from its middle."""
     order = np.arange(len(joint))
     low, size = offsets[:-1], np.diff(offsets)

@@ -15,13 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.arrays import Floats, Ints
+from preprocess.arrays import Bools, Floats, Ints
+from preprocess.mesh.edges import chart_of_faces
 from preprocess.mesh.split_edges import EdgeSplit, split_edges
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.straighten.chains import Chains, find_chains
 from preprocess.straighten.remap import (
     LEAST_AREA,
-    chart_of_faces,
     find_rest_shapes,
     relative_areas,
     remap_interior,
@@ -40,8 +40,6 @@ from preprocess.straighten.runs import (
 from preprocess.straighten.simplify import chain_extents_uv, joint_points, simplify_chains, straight_points
 
 log = logging.getLogger(__name__)
-
-Bools = NDArray[np.bool_]
 
 DEFAULT_TOLERANCE_REL = 0.01  # the paper's, of the diagonal of a component's bounding box
 DEFAULT_DISTORTION = 4.0  # a face may become eight times as long as wide, measured against its shape before

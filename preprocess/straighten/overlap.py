@@ -9,10 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.arrays import Floats
+from preprocess.arrays import Bools, Floats
 from preprocess.numerics.jit import entry, helper
 
-Bools = NDArray[np.bool_]
 ROUNDING = 1e-15  # error of an orientation in float64, relative to the magnitudes of its products
 
 

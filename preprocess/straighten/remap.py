@@ -23,13 +23,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import connected_components
 
-from preprocess.arrays import Floats
+from preprocess.arrays import Bools, Floats
+from preprocess.mesh.edges import chart_of_faces
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.numerics.jit import entry
-
-Bools = NDArray[np.bool_]
 
 LEAST_AREA = 1e-4  # of its rest area: a triangle below counts as folded (rounding is near 1e-12)
 SQUEEZED_AREA = 0.3  # of its rest area: a triangle below is relaxed
@@ -65,20 +63,6 @@ class RestShapes:
     areas_uv: Floats
     charts: NDArray[np.int64]
     was_folded: Bools
-
-
-def chart_of_faces(surface: TexturedSurface) -> NDArray[np.int64]:
-    """Charts: faces that share texture vertices, (F,) int64, numbered from 0 in the order of their first face."""
-    ids = surface.face_uvs.astype(np.int64)
-    num_uvs = len(surface.uvs)
-    links = coo_array(
-        (np.ones(2 * len(ids), np.int8), (ids[:, [0, 0]].ravel(), ids[:, [1, 2]].ravel())), (num_uvs,) * 2
-    )
-    labels = connected_components(links, directed=False)[1][ids[:, 0]]
-    _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), np.int64)
-    rank[np.argsort(first)] = np.arange(len(first))
-    return rank[inverse.reshape(-1)]
 
 
 def _edge_matrices(points: Floats, faces: NDArray[np.integer]) -> Floats:

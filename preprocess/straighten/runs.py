@@ -7,13 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.arrays import Floats
+from preprocess.arrays import Bools, Floats
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.straighten.chains import Chains
 from preprocess.straighten.overlap import find_meeting_segments, find_swept_runs
 from preprocess.straighten.simplify import joint_points, run_ends
-
-Bools = NDArray[np.bool_]
 
 LEAST_LIMIT = 1e-3  # of a limit: below, points stay rather than move less
 GAP_STEPS = 16  # down to a thirtieth of the gap asked for

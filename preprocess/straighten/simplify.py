@@ -13,13 +13,10 @@ in order and no gap below a quarter of its share.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from preprocess.arrays import Floats, Ints
+from preprocess.arrays import Bools, Floats, Ints
 from preprocess.numerics.jit import entry, helper
 from preprocess.straighten.chains import Chains
-
-Bools = NDArray[np.bool_]
 
 LEAST_GAP = 0.25  # of the share by chord length: keeps the triangles along a run from being squeezed
 LEAST_CHORD = 0.05  # a side's segment may not be shorter than this fraction of the path it replaces

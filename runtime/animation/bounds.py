@@ -18,6 +18,7 @@ time.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -83,6 +84,15 @@ def joint_boxes(
     return boxes
 
 
+def stored_joint_boxes(stored: Sequence[NDArray[np.float64] | None], whole: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Joint boxes (J, 2, 3) as a built character has them: +inf, -inf for None, a joint that moves nothing.
+
+    A character that stores none gets its whole box for every joint: safe, and looser.
+    """
+    nothing = np.array([[np.inf] * 3, [-np.inf] * 3]) if any(box is not None for box in stored) else whole
+    return np.array([nothing if box is None else box for box in stored], np.float64).reshape(-1, 2, 3)
+
+
 class JointBoxes:
     """Boxes of the joints that move something, ready to be carried by any number of poses.
 
@@ -93,6 +103,7 @@ class JointBoxes:
     """
 
     def __init__(self, boxes: NDArray[np.float64]) -> None:
+        self.boxes = boxes
         self.used = np.flatnonzero(np.isfinite(boxes).all(axis=(1, 2)))
         # Where a joint's 3 x 4 words lie in a pose. Joints come last in all that follows: inner loops are long then.
         self._words = np.arange(12).reshape(3, 4, 1) + 12 * self.used

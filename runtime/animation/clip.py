@@ -17,6 +17,7 @@ from runtime.animation.clip_repair import mend_keys
 from runtime.animation.keyframes import Keys, stack_tracks
 from runtime.animation.skeleton import Skeleton
 from runtime.errors import AssetError
+from runtime.gltf.limits import LIMITS, Limits
 
 if TYPE_CHECKING:
     from runtime.gltf.document import Document
@@ -84,7 +85,9 @@ class Clip:
         return Clip(self.name, self.duration_s, tuple(track for track in self.tracks if track.node in kept))
 
 
-def _checked_track(node: int, path: str, mode: str, times: NDArray[Any], values: NDArray[Any], where: str) -> Track:
+def _checked_track(
+    node: int, path: str, mode: str, times: NDArray[Any], values: NDArray[Any], where: str, limits: Limits
+) -> Track:
     """A track whose shapes, order and numbers hold; one line of complaint otherwise."""
     if mode not in INTERPOLATIONS:
         raise AssetError(f"{where}: interpolation {mode!r} is unknown; use LINEAR, STEP or CUBICSPLINE")
@@ -99,8 +102,8 @@ def _checked_track(node: int, path: str, mode: str, times: NDArray[Any], values:
             f"{where}: {path} needs {len(times) * keys_per_time} rows of {width} for {len(times)} keys, "
             f"the file has {values.shape}; re-export the clip"
         )
-    if not (np.isfinite(times).all() and np.isfinite(values).all()):
-        raise AssetError(f"{where}: a key is not finite; re-export the clip")
+    if not ((np.abs(times) <= limits.time_s).all() and (np.abs(values) <= limits.number).all()):
+        raise AssetError(f"{where}: a key is not finite or far out of range; re-export the clip")
     if times[0] < 0 or (np.diff(times) <= 0).any():
         raise AssetError(f"{where}: its key times must rise from 0 on; re-export the clip")
     if mode == "CUBICSPLINE":
@@ -150,6 +153,7 @@ def _read_tracks(
     accessors: _AccessorCache,
     where: str,
     faults: list[str] | None,
+    limits: Limits,
 ) -> list[Track]:
     """The tracks of one animation that move the skeleton's nodes."""
     fixed = frozenset(int(node) for node in skeleton.matrix_nodes)
@@ -172,12 +176,12 @@ def _read_tracks(
         times, values = accessors.read(sampler["input"]), accessors.read(sampler["output"])
         mode = str(sampler.get("interpolation", "LINEAR"))
         if faults is None:
-            tracks.append(_checked_track(node, path, mode, times, values, place))
+            tracks.append(_checked_track(node, path, mode, times, values, place, limits))
             continue
-        times, values, mended = mend_keys(times, values, 3 if mode == "CUBICSPLINE" else 1, path)
+        times, values, mended = mend_keys(times, values, 3 if mode == "CUBICSPLINE" else 1, path, limits)
         before = min(float(times[0]), 0.0) if times.ndim == 1 and len(times) else 0.0
         try:
-            track = _checked_track(node, path, mode, times - before, values, place)
+            track = _checked_track(node, path, mode, times - before, values, place, limits)
         except AssetError as error:
             faults.append(f"left out: {error}")
             continue
@@ -222,10 +226,11 @@ def read_clips(
     if by_name and animations and not to_skeleton:
         raise AssetError(f"{path}: none of its nodes has the name of one of the skeleton's; rename the joints to match")
     accessors = _AccessorCache(document)
+    limits = getattr(document, "limits", LIMITS)
     clips: list[Clip] = []
     for number, animation in enumerate(animations):
         name = str(animation.get("name") or f"clip {number}")
-        tracks = _read_tracks(animation, to_skeleton, skeleton, accessors, f"{path}: clip {name!r}", faults)
+        tracks = _read_tracks(animation, to_skeleton, skeleton, accessors, f"{path}: clip {name!r}", faults, limits)
         duration = max((float(track.times[-1]) for track in tracks), default=0.0)
         clips.append(Clip(name, duration, tuple(tracks)))
     return tuple(clips)

@@ -11,12 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.gltf.limits import LIMITS, Limits
+
 ZERO_LENGTH = 1e-6  # a shorter quaternion turns nothing
 
 
-def _sound_rows(values: NDArray[np.float64], is_rotation: bool) -> NDArray[np.bool_]:
-    """Which keys are finite and, for rotations, not zero, (K,) bool, of values (K, 1 or 3, C)."""
-    sound = np.asarray(np.isfinite(values).all(axis=(1, 2)))
+def _sound_rows(values: NDArray[np.float64], is_rotation: bool, most: float) -> NDArray[np.bool_]:
+    """Which keys are in range and, for rotations, not zero, (K,) bool, of values (K, 1 or 3, C)."""
+    sound = np.asarray((np.abs(values) <= most).all(axis=(1, 2)))
     if is_rotation:
         points = np.where(sound[:, None], values[:, values.shape[1] // 2], 0.0)
         sound &= np.linalg.norm(points, axis=1) >= ZERO_LENGTH
@@ -24,7 +26,7 @@ def _sound_rows(values: NDArray[np.float64], is_rotation: bool) -> NDArray[np.bo
 
 
 def mend_keys(
-    times: NDArray[Any], values: NDArray[Any], keys_per_time: int, path: str
+    times: NDArray[Any], values: NDArray[Any], keys_per_time: int, path: str, limits: Limits = LIMITS
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], list[str]]:
     """Drop keys that say nothing and part those that share a time; anything else stays for the reader to refuse.
 
@@ -36,6 +38,7 @@ def mend_keys(
     keys_per_time : int
         3 for CUBICSPLINE, else 1.
     path : "translation", "rotation" or "scale"
+    limits : Limits
 
     Returns
     -------
@@ -49,9 +52,9 @@ def mend_keys(
         return times, values, []
     faults = []
     rows = values.reshape(len(times), keys_per_time, -1)
-    sound = np.isfinite(times) & _sound_rows(rows, path == "rotation")
+    sound = (np.abs(times) <= limits.time_s) & _sound_rows(rows, path == "rotation", limits.number)
     if not sound.all():
-        faults.append(f"{int((~sound).sum())} keys that are not finite or turn by nothing dropped")
+        faults.append(f"{int((~sound).sum())} keys that are not finite, far out of range or turn by nothing dropped")
         times, rows = times[sound], rows[sound]
     repeated = np.flatnonzero(np.diff(times) == 0) + 1
     if len(repeated):

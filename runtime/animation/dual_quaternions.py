@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.floating]
-TEXELS_A_JOINT = 5  # real part, dual part, three rows of the stretch
+TEXELS_PER_JOINT = 5  # real part, dual part, three rows of the stretch
 
 
 def quaternions(rotations: Floats) -> NDArray[np.float64]:
@@ -67,7 +67,7 @@ def joint_texels(rows: Floats) -> NDArray[np.float32]:
     handedness = np.where(np.linalg.det(left @ right) < 0, -1.0, 1.0)
     left[..., :, 2] *= handedness[..., None]  # a reflection goes into the stretch
     rotations = left @ right
-    texels = np.zeros((*matrices.shape[:-2], TEXELS_A_JOINT, 4), np.float32)
+    texels = np.zeros((*matrices.shape[:-2], TEXELS_PER_JOINT, 4), np.float32)
     real = quaternions(rotations)
     translation = np.concatenate([matrices[..., 3], np.zeros((*matrices.shape[:-2], 1))], axis=-1)
     texels[..., 0, :] = real

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from runtime.animation.skeleton import Skeleton
-from runtime.validation import shown
+from runtime.validation import describe
 
 Floats = NDArray[np.floating[Any]]
 Rows = NDArray[np.int64]
@@ -81,7 +81,7 @@ class JointsFromCode:
         try:
             given = np.asarray(values, dtype=np.float64)
         except (TypeError, ValueError):
-            raise ValueError(f"joints must be an array of numbers, not {shown(values)}") from None
+            raise ValueError(f"joints must be an array of numbers, not {describe(values)}") from None
         if given.shape != shape:
             raise ValueError(f"joints need shape {shape}, not {given.shape}: one entry a joint, NaN to leave one alone")
         if np.isinf(given).any():

@@ -193,10 +193,10 @@ def _evaluate(bank: Bank, segments: NDArray[np.int64], u: NDArray[np.float64], d
     at = u[bank.time_lists].astype(dtype, copy=False)
     if bank.form == "arc":
         angle = coefficients[8] * at
-        return coefficients[:4] * np.cos(angle) + coefficients[4:8] * np.sin(angle)
+        return np.asarray(coefficients[:4] * np.cos(angle) + coefficients[4:8] * np.sin(angle))
     width = 4 if bank.path == "rotation" else 3
     if bank.form == "linear":
-        return coefficients[:width] + coefficients[width:] * at
+        return np.asarray(coefficients[:width] + coefficients[width:] * at)
     a, b, c, d = (coefficients[power * width : (power + 1) * width] for power in range(4))
     values: Floats = ((d * at + c) * at + b) * at + a
     if bank.path == "rotation":

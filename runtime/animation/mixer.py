@@ -22,7 +22,7 @@ from runtime.animation.layers import Layer, make_layer
 from runtime.animation.pose import Pose, rest_pose, sample, skinning_rows, wrap_times
 from runtime.animation.root_motion import RootMotion, compose, motion_matrix
 from runtime.animation.skeleton import Skeleton
-from runtime.validation import FASTEST, LONGEST_S, no_such, numbers, step_s, whole
+from runtime.validation import FASTEST, LONGEST_S, is_integer, numbers, step_s, unknown_name
 
 Floats = NDArray[np.floating[Any]]
 Rows = NDArray[np.int64]
@@ -127,9 +127,9 @@ class Mixer:
             for index, known in enumerate(self.clips):
                 if known.name == clip:
                     return index
-        elif whole(clip) and 0 <= clip < len(self.clips):
+        elif is_integer(clip) and 0 <= clip < len(self.clips):
             return int(clip)
-        raise no_such("clip", clip, [known.name for known in self.clips], "character")
+        raise unknown_name("clip", clip, [known.name for known in self.clips], "character")
 
     def add_layer(self, name: str, mode: str = "override", nodes: ArrayLike | None = None) -> int:
         """Add a layer on top of the others, for every row; its weight starts at 1.
@@ -162,9 +162,9 @@ class Mixer:
     def layer_index(self, layer: str | int) -> int:
         """Number of a layer given by name or number; ValueError when there is none."""
         for index, known in enumerate(self.layers):
-            if layer == known.name or (whole(layer) and layer == index):
+            if layer == known.name or (is_integer(layer) and layer == index):
                 return index
-        raise no_such("layer", layer, [known.name for known in self.layers], "character")
+        raise unknown_name("layer", layer, [known.name for known in self.layers], "character")
 
     def play(
         self,

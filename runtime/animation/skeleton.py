@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from runtime.errors import AssetError
-from runtime.validation import no_such, shown, whole
+from runtime.validation import describe, is_integer, unknown_name
 
 if TYPE_CHECKING:
     from runtime.gltf.document import Document
@@ -104,10 +104,10 @@ class Skeleton:
         """
         if isinstance(name, str):
             if name not in self.node_by_name:
-                raise no_such("joint", name, self.names, "skeleton")
+                raise unknown_name("joint", name, self.names, "skeleton")
             return self.node_by_name[name]
-        if not whole(name) or not 0 <= int(name) < self.num_nodes:
-            raise ValueError(f"no joint {shown(name)}; the skeleton has {self.num_nodes}, counted from 0")
+        if not is_integer(name) or not 0 <= int(name) < self.num_nodes:
+            raise ValueError(f"no joint {describe(name)}; the skeleton has {self.num_nodes}, counted from 0")
         return int(name)
 
     def descendants(self, name: str | int) -> NDArray[np.bool_]:
@@ -170,7 +170,7 @@ def rotation_quaternion(matrix: ArrayLike) -> NDArray[np.float64]:
         ]
     )
     quaternion = products[int(np.argmax(squares))]
-    return quaternion / np.linalg.norm(quaternion)
+    return np.asarray(quaternion / np.linalg.norm(quaternion))
 
 
 def decompose(
@@ -198,7 +198,7 @@ def decompose(
     return m[:3, 3].copy(), rotation, scale, exact
 
 
-def _parents_in_document(nodes: list[dict], where: str) -> NDArray[np.int64]:
+def _parents_in_document(nodes: list[dict[str, Any]], where: str) -> NDArray[np.int64]:
     """Parent of every node of the file, -1 for roots."""
     parents = np.full(len(nodes), -1, dtype=np.int64)
     for index, node in enumerate(nodes):
@@ -261,12 +261,14 @@ def distinct_names(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(distinct)
 
 
-def _node_names(nodes: list[dict], kept: Sequence[int]) -> tuple[str, ...]:
+def _node_names(nodes: list[dict[str, Any]], kept: Sequence[int]) -> tuple[str, ...]:
     """A name per node: the file's own, "node N" where it has none, numbered where two agree."""
     return distinct_names([str(nodes[index].get("name") or f"node {index}") for index in kept])
 
 
-def _rest_pose(node: dict, where: str) -> tuple[list[float], list[float], list[float], NDArray[np.float64] | None]:
+def _rest_pose(
+    node: dict[str, Any], where: str
+) -> tuple[list[float], list[float], list[float], NDArray[np.float64] | None]:
     """Translation, rotation, scale of a node of the file, and its matrix where those cannot say it."""
     if "matrix" in node:
         matrix = np.asarray(node["matrix"], dtype=np.float64)
@@ -315,7 +317,7 @@ def read_skeleton(
     AssetError
         When the tree has a cycle or a missing node, or a transform is not finite.
     """
-    nodes: list[dict] = document.json.get("nodes", [])
+    nodes: list[dict[str, Any]] = document.json.get("nodes", [])
     where = str(getattr(document, "path", None) or "file")
     inverse = np.array(inverse_bind, dtype=np.float64).reshape(len(joint_nodes), 4, 4)
     if not np.isfinite(inverse).all():

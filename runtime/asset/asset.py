@@ -25,7 +25,7 @@ from runtime.errors import REBUILD, AssetError
 from runtime.gltf.document import Document, read_document
 from runtime.gltf.local_files import find_local_file
 from runtime.gltf.png_check import find_png_fault
-from runtime.validation import shown
+from runtime.validation import describe
 
 if TYPE_CHECKING:
     from runtime.animation.clip import Clip
@@ -272,7 +272,7 @@ def _read_material(spec: dict[str, Any], where: str) -> MaterialData:
     strength = _factors(extensions.get("KHR_materials_emissive_strength", {}), "emissiveStrength", (1.0,), where)[0]
     mode = spec.get("alphaMode", "OPAQUE")
     if mode not in ALPHA_MODES:
-        raise AssetError(f"{where}: alphaMode is {shown(mode)}, not one of {', '.join(ALPHA_MODES)}: {REBUILD}")
+        raise AssetError(f"{where}: alphaMode is {describe(mode)}, not one of {', '.join(ALPHA_MODES)}: {REBUILD}")
     return MaterialData(
         name=str(spec.get("name", "")),
         base_color_factor=(base[0], base[1], base[2], base[3]),
@@ -352,7 +352,7 @@ def load(path: str | Path) -> Asset:
         If anything in the folder is missing, damaged, or newer than this program; the message names it.
     """
     if not isinstance(path, str | PathLike):
-        raise AssetError(f"a character is loaded from the path of its folder, not from {shown(path)}")
+        raise AssetError(f"a character is loaded from the path of its folder, not from {describe(path)}")
     folder = Path(path)
     manifest = read_manifest(folder)
     document = read_document(find_local_file(folder, manifest.entry.model, "model", REBUILD))

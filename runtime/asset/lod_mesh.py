@@ -12,9 +12,16 @@ from numpy.typing import NDArray
 from runtime.asset.manifest import LodEntry
 from runtime.errors import REBUILD, AssetError
 from runtime.gltf.document import Document
-from runtime.validation import shown
+from runtime.validation import describe
 
 TRIANGLES = 4  # glTF's number of that mode
+
+UV_STEPS = 65535  # uvs lie in [0, 1] and are stored as 16-bit numbers of steps where these say exactly what they are
+
+
+def uv_steps(uvs: NDArray[np.floating[Any]]) -> NDArray[np.uint16]:
+    """The 16-bit steps nearest to uvs, (N, 2)."""
+    return np.rint(np.clip(uvs.astype(np.float64), 0.0, 1.0) * UV_STEPS).astype(np.uint16)
 
 
 @dataclass(frozen=True)
@@ -143,7 +150,7 @@ def read_lods(document: Document, entries: Sequence[LodEntry]) -> tuple[LodMesh,
     lods = []
     for entry in entries:
         if entry.node not in nodes:
-            raise AssetError(f"{document.path} has no mesh node {shown(entry.node)} of the manifest: {REBUILD}")
+            raise AssetError(f"{document.path} has no mesh node {describe(entry.node)} of the manifest: {REBUILD}")
         where = f"{document.path}: {entry.node[:60]}"
         lods.append(_read_lod(document, nodes[entry.node]["mesh"], where, entry.error_m))
         if len(lods[-1].triangles) != entry.faces:

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.asset.weight_stack import WEIGHT_STEPS, stored_step, unpack_steps
 from runtime.errors import AssetError
 
-LEAVES_A_ROW = 64  # of the image, two texels each
+LEAVES_PER_ROW = 64  # of the image, two texels each
 MAX_DEPTH = 8
 
 
@@ -47,17 +48,17 @@ def no_details(slots: int = 1) -> WeightDetails:
 
 def details_size(num_leaves: int, slots: int) -> tuple[int, int]:
     """Width and height of the image that holds them."""
-    return 2 * LEAVES_A_ROW, 2 * _leaf_rows(num_leaves) * (2 * -(-slots // 4) + 1)
+    return 2 * LEAVES_PER_ROW, 2 * _leaf_rows(num_leaves) * (2 * -(-slots // 4) + 1)
 
 
 def _leaf_rows(num_leaves: int) -> int:
-    return -(-num_leaves // LEAVES_A_ROW)
+    return -(-num_leaves // LEAVES_PER_ROW)
 
 
 def _blocks(image: NDArray[Any], num_leaves: int) -> NDArray[np.int64]:
     """The four texels of each leaf: (L, 4, 4)."""
     rows = image.shape[0] // 2
-    blocks = image.reshape(rows, 2, LEAVES_A_ROW, 2, 4).transpose(0, 2, 1, 3, 4).reshape(-1, 4, 4)
+    blocks = image.reshape(rows, 2, LEAVES_PER_ROW, 2, 4).transpose(0, 2, 1, 3, 4).reshape(-1, 4, 4)
     return blocks[:num_leaves].astype(np.int64)
 
 
@@ -78,16 +79,17 @@ def pack_details(details: WeightDetails, wide: bool) -> NDArray[Any]:
     num_lists = -(-slots // 4)
     width, height = details_size(num_leaves, slots)
     rows = _leaf_rows(num_leaves)
-    planes = np.zeros((2 * num_lists + 1, rows * LEAVES_A_ROW, 4, 4), np.int64)
+    planes = np.zeros((2 * num_lists + 1, rows * LEAVES_PER_ROW, 4, 4), np.int64)
     missing = ((0, 0), (0, 0), (0, 4 * num_lists - slots))
-    lists = [np.pad(values, missing) for values in (details.joints, details.weights * (257 if wide else 1))]
+    steps = details.weights * stored_step(np.uint16 if wide else np.uint8)
+    lists = [np.pad(values, missing) for values in (details.joints, steps)]
     for number in range(num_lists):
         for kind in range(2):
             planes[2 * number + kind, :num_leaves] = lists[kind][:, :, 4 * number : 4 * number + 4]
     x, y = details.places.T
     planes[-1, :num_leaves, 0] = np.stack([x & 255, x >> 8, y & 255, y >> 8], axis=1)
     planes[-1, :num_leaves, 1, 0] = details.depths
-    texels = planes.reshape(-1, rows, LEAVES_A_ROW, 2, 2, 4).transpose(0, 1, 3, 2, 4, 5)
+    texels = planes.reshape(-1, rows, LEAVES_PER_ROW, 2, 2, 4).transpose(0, 1, 3, 2, 4, 5)
     return np.ascontiguousarray(texels.reshape(height, width, 4).astype(np.uint16 if wide else np.uint8))
 
 
@@ -99,16 +101,14 @@ def unpack_details(image: NDArray[Any], num_leaves: int, where: str) -> WeightDe
     AssetError
         If an address is none.
     """
-    planes = image.reshape(-1, 2 * _leaf_rows(num_leaves), 2 * LEAVES_A_ROW, 4)
+    planes = image.reshape(-1, 2 * _leaf_rows(num_leaves), 2 * LEAVES_PER_ROW, 4)
     blocks = [_blocks(plane, num_leaves) for plane in planes]
     joints = np.concatenate(blocks[:-1:2], axis=-1)
-    weights = np.concatenate(blocks[1:-1:2], axis=-1)
-    if image.dtype == np.uint16:
-        weights = (weights + 128) // 257
+    weights = unpack_steps(np.concatenate(blocks[1:-1:2], axis=-1).astype(image.dtype))
     address = blocks[-1]
     places = np.stack([address[:, 0, 0] + 256 * address[:, 0, 1], address[:, 0, 2] + 256 * address[:, 0, 3]], axis=1)
     depths = address[:, 1, 0]
-    if (depths > MAX_DEPTH).any() or (weights.sum(axis=-1) != 255).any():
+    if (depths > MAX_DEPTH).any() or (weights.sum(axis=-1) != WEIGHT_STEPS).any():
         raise AssetError(f"{where} is damaged: build the character again with python -m preprocess")
     return WeightDetails(depths, places, joints, weights)
 

@@ -44,10 +44,12 @@ class BakedClips:
     durations_s : (C,) float64
     rates_hz : (C,) float64
         Rows a second, so that duration times rate is `num_rows - 1`.
-    centres, halves : (C, 3) float64
-        Of the box that holds all poses of a clip, object space, metres: its middle, and half its size.
+    centres : (C, 3) float64
+        Middle of the box that holds all poses of a clip, object space, metres.
     radii_m : (C,) float64
         Of the sphere around that box.
+    row_boxes : (R, 2, 3) float32
+        Box that holds each row's pose, object space, metres. What lies between two rows lies between their boxes.
     shift_m : float
         How far a point may be from its place, since what lies between two rows is blended.
     """
@@ -59,8 +61,8 @@ class BakedClips:
     durations_s: NDArray[np.float64]
     rates_hz: NDArray[np.float64]
     centres: NDArray[np.float64]
-    halves: NDArray[np.float64]
     radii_m: NDArray[np.float64]
+    row_boxes: NDArray[np.float32]
     shift_m: float
 
 
@@ -152,7 +154,8 @@ def bake_clips(
     blocks.append(skinning_rows(skeleton, rest_pose(skeleton)).astype(np.float32))
     counts = np.array([len(block) for block in blocks], dtype=np.int64)
     durations = np.array([*(clip.duration_s for clip in clips), 0.0])
-    boxes_m = np.array([_box(block, boxes) for block in blocks])
+    row_boxes = [pose_bounds(block, boxes) for block in blocks]
+    boxes_m = np.array([(each[:, 0].min(axis=0), each[:, 1].max(axis=0)) for each in row_boxes], np.float64)
     halves = (boxes_m[:, 1] - boxes_m[:, 0]) / 2 + shift + 1e-4
     return BakedClips(
         names=(*(clip.name for clip in clips), "rest"),
@@ -162,16 +165,10 @@ def bake_clips(
         durations_s=durations,
         rates_hz=(counts - 1) / np.where(durations > 0, durations, 1.0),
         centres=boxes_m.mean(axis=1),
-        halves=halves,
+        row_boxes=np.concatenate(row_boxes).astype(np.float32),
         radii_m=np.linalg.norm(halves, axis=1),
         shift_m=shift,
     )
-
-
-def _box(matrices: NDArray[np.float32], boxes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Least and greatest corner of the boxes of all rows, (2, 3)."""
-    each = pose_bounds(matrices, boxes).astype(np.float64)
-    return np.array([each[:, 0].min(axis=0), each[:, 1].max(axis=0)])
 
 
 def pick_joints(joints: NDArray[Any], weights: Floats, width: int) -> tuple[NDArray[np.uint16], NDArray[np.float32]]:

@@ -18,26 +18,24 @@ from numpy.typing import ArrayLike, NDArray
 
 from runtime.animation.clip import Clip
 from runtime.crowd.animation_texture import MAX_ROWS, bake_clips
-from runtime.crowd.lod_buffers import CrowdLevel, LevelMesh, bake_level_places, model_meshes, upload_level
+from runtime.crowd.lod_buffers import CrowdLevel, LevelMesh, bake_level_animations, model_meshes, upload_level
 from runtime.crowd.passes import CrowdPasses
-from runtime.crowd.state import Stage
+from runtime.crowd.state import CrowdState
 from runtime.errors import NotCopied, RenderError
 from runtime.gpu import gl_state
 from runtime.gpu.context import can_free, require_current
 from runtime.gpu.model import Model, require_alive
 from runtime.gpu.textures import TEXTURE_UNITS
-from runtime.render.views import CrowdFrame
-from runtime.scene.actor import joint_boxes_of
-from runtime.validation import FASTEST, LONGEST_S, no_such, numbers, step_s, whole
-from runtime.validation import shown as told
+from runtime.render.views import Drawable, Frame
+from runtime.validation import FASTEST, LONGEST_S, describe, is_integer, numbers, step_s, unknown_name
 
 Floats = NDArray[np.floating[Any]]
 
-PLACES_BYTES = 8 << 20
+VERTEX_ANIMATION_BYTES = 8 << 20
 MOST_ACTORS = 10_000_000
 
 
-class Crowd(NotCopied):
+class Crowd(NotCopied, Drawable):
     """Many actors of one model.
 
     Parameters
@@ -49,7 +47,7 @@ class Crowd(NotCopied):
         Number of actors. All stand at the origin in the rest pose at first.
     clips : sequence of clip names, numbers or Clips, optional
         Those that the crowd can play; by default all of the model's.
-    places_bytes : int
+    vertex_animation_bytes : int
         GPU memory for ready-made poses of the coarsest levels, which draw several times as fast; 0 for none.
 
     Raises
@@ -67,41 +65,46 @@ class Crowd(NotCopied):
         count: int,
         *,
         clips: Sequence[str | int | Clip] | None = None,
-        places_bytes: int = PLACES_BYTES,
+        vertex_animation_bytes: int = VERTEX_ANIMATION_BYTES,
     ) -> None:
         if not isinstance(ctx, moderngl.Context) or not isinstance(model, Model):
-            raise RenderError(f"a crowd is made of a context, a model and a number, not {told(ctx)}, {told(model)}")
+            raise RenderError(
+                f"a crowd is made of a context, a model and a number, not {describe(ctx)}, {describe(model)}"
+            )
         require_alive(ctx, "crowd")
         model.require_usable()
         if ctx is not model.ctx:
             raise RenderError(f"the model {model.asset.name} belongs to another context than the crowd")
         require_current(ctx, "crowd")
-        if not whole(count) or not 0 <= count <= MOST_ACTORS:
-            raise ValueError(f"a crowd has 0 to {MOST_ACTORS:,} actors, not {told(count)}")
+        if not is_integer(count) or not 0 <= count <= MOST_ACTORS:
+            raise ValueError(f"a crowd has 0 to {MOST_ACTORS:,} actors, not {describe(count)}")
         if isinstance(clips, str) or (clips is not None and not isinstance(clips, Sequence)):
-            raise ValueError(f"clips must be a list of names, numbers or Clips, not {told(clips)}")
-        if not whole(places_bytes) or places_bytes < 0:
-            raise ValueError(f"places_bytes must be a whole number of bytes, not {told(places_bytes)}")
+            raise ValueError(f"clips must be a list of names, numbers or Clips, not {describe(clips)}")
+        if not is_integer(vertex_animation_bytes) or vertex_animation_bytes < 0:
+            raise ValueError(
+                f"vertex_animation_bytes must be a whole number of bytes, not {describe(vertex_animation_bytes)}"
+            )
         self.ctx = ctx
         self.model = model
         mixer = model.mixer
         chosen = mixer.clips if clips is None else [mixer.clips[mixer.clip_index(clip)] for clip in clips]
         self._texture_limit = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
-        self.baked = bake_clips(mixer.skeleton, chosen, joint_boxes_of(model), min(MAX_ROWS, self._texture_limit))
-        self.stage = Stage(self.baked, int(count))
+        self.baked = bake_clips(mixer.skeleton, chosen, model.joint_boxes.boxes, min(MAX_ROWS, self._texture_limit))
+        self.state = CrowdState(self.baked, model.joint_boxes, int(count))
         self.visible = True
         self.last_counts: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
         self._released = False
+        self._passes = CrowdPasses(model, self._seam_lines)
         self._owned: list[Any] = []
         try:
             units = (*range(len(TEXTURE_UNITS)), ctx.default_texture_unit)
             with gl_state.saved_state(units, (), False):
                 self._rows_texture = self._upload_rows()
-                self._levels = self._upload_levels(places_bytes)
+                self._levels = self._upload_levels(vertex_animation_bytes)
         except BaseException:
             self.release()
             raise
-        self._passes = CrowdPasses(model, self._levels, self._seam_lines)
+        self._passes.levels = self._levels
         self.errors_m = np.array([one.error_m for one in self._levels])
 
     def __repr__(self) -> str:
@@ -112,7 +115,7 @@ class Crowd(NotCopied):
     @property
     def count(self) -> int:
         """Number of actors."""
-        return self.stage.count
+        return self.state.count
 
     def place(self, transforms: ArrayLike, which: Any = None) -> None:
         """Put actors somewhere.
@@ -129,11 +132,11 @@ class Crowd(NotCopied):
         ValueError
             When a matrix is not finite or the shape is wrong; nobody is moved then.
         """
-        self.stage.place(transforms, which)
+        self.state.place(transforms, which)
 
     def place_on_ground(self, positions: ArrayLike, headings: ArrayLike = 0.0, which: Any = None) -> None:
         """Put actors at (A, 3) positions, metres, turned by (A,) headings about +Y, radians."""
-        self.stage.place_upright(positions, headings, which)
+        self.state.place_upright(positions, headings, which)
 
     def play(
         self,
@@ -154,7 +157,7 @@ class Crowd(NotCopied):
         speeds : factors
         loop : over and over, or once and hold the end
         """
-        stage, actors = self.stage, self.stage.index(which)
+        state, actors = self.state, self.state.index(which)
         values = {
             "clips": self._clip_numbers(clip),
             "speeds": numbers(speeds, "speeds", FASTEST),
@@ -163,11 +166,11 @@ class Crowd(NotCopied):
         for name, value in values.items():
             if value.shape not in ((), (len(actors),)):
                 raise ValueError(f"{len(actors)} actors need one of {name} each, or one for all, not {value.shape}")
-        stage.clips[actors] = values["clips"]
-        stage.speeds[actors] = values["speeds"]
-        stage.phases_s[actors] = values["phases_s"] - stage.clock_s * stage.speeds[actors]
-        stage.loops[actors] = loop
-        stage.place_spheres(actors)
+        state.clips[actors] = values["clips"]
+        state.speeds[actors] = values["speeds"]
+        state.phases_s[actors] = values["phases_s"] - state.clock_s * state.speeds[actors]
+        state.loops[actors] = loop
+        state.place_spheres(actors)
 
     def _clip_numbers(self, clip: str | int | Clip | ArrayLike) -> NDArray[np.int64]:
         """Numbers of clips from what a caller may give."""
@@ -179,11 +182,11 @@ class Crowd(NotCopied):
             known = {name: number for number, name in reversed(list(enumerate(names)))}
             for name in np.unique(given).astype(str):
                 if name not in known:
-                    raise no_such("clip", str(name), names, "crowd")
+                    raise unknown_name("clip", str(name), names, "crowd")
             return np.array([known[name] for name in given.ravel().astype(str)], dtype=np.int64).reshape(given.shape)
         wrong = given.dtype.kind not in "iu" or (given < 0) | (given >= len(names))
         if given.size and np.any(wrong):
-            first = told(clip if wrong is True else int(given[wrong].flat[0]))
+            first = describe(clip if wrong is True else int(given[wrong].flat[0]))
             raise ValueError(f"no clip {first}; the crowd has {len(names)}, counted from 0")
         return given.astype(np.int64)
 
@@ -194,22 +197,22 @@ class Crowd(NotCopied):
 
     def tint(self, colors: ArrayLike, which: Any = None) -> None:
         """Set factors of the base colour: (A, 3), (A, 4), (3,) or (4,) float, linear, 0 to 1."""
-        actors, given = self.stage.index(which), numbers(colors, "tints")
+        actors, given = self.state.index(which), numbers(colors, "tints")
         if given.shape[-1:] not in ((3,), (4,)) or given.shape[:-1] not in ((), (len(actors),)):
             raise ValueError(f"{len(actors)} actors need tints (A, 3) or (A, 4), or one for all, not {given.shape}")
         bytes_ = np.rint(np.clip(given, 0, 1) * 255).astype(np.uint8)
-        self.stage.tints[actors, : given.shape[-1]] = bytes_
+        self.state.tints[actors, : given.shape[-1]] = bytes_
 
     def show(self, shown: ArrayLike, which: Any = None) -> None:
         """Show or hide actors: bool or (A,) bool."""
-        actors, given = self.stage.index(which), np.asarray(shown)
+        actors, given = self.state.index(which), np.asarray(shown)
         if given.dtype.kind != "b" or given.shape not in ((), (len(actors),)):
-            raise ValueError(f"{len(actors)} actors need True or False each, or one for all, not {told(shown)}")
-        self.stage.visible[actors] = given
+            raise ValueError(f"{len(actors)} actors need True or False each, or one for all, not {describe(shown)}")
+        self.state.visible[actors] = given
 
     def update(self, dt_s: float) -> None:
         """Let time run on for everybody. Costs nothing: places in clips are computed for those in view only."""
-        self.stage.clock_s += step_s(dt_s, "a crowd")
+        self.state.clock_s += step_s(dt_s, "a crowd")
 
     # Buffers
 
@@ -220,11 +223,11 @@ class Crowd(NotCopied):
 
     @property
     def gpu_bytes(self) -> dict[str, int]:
-        """Bytes in GPU memory by purpose, besides the model's: poses, places, vertices, instances."""
-        places = [level.places for level in self._levels if level.places is not None]
+        """Bytes in GPU memory by purpose, besides the model's."""
+        animations = [level.animation for level in self._levels if level.animation is not None]
         return {
-            "poses": int(self.baked.matrices.nbytes),
-            "places": sum(4 * texture.width * texture.height for texture in places),
+            "animation_texture": int(self.baked.matrices.nbytes),
+            "vertex_animation_textures": sum(4 * texture.width * texture.height for texture in animations),
             "vertices": sum(int(level.vertices.size) for level in self._levels),
             "instances": self._passes.instance_bytes,
         }
@@ -247,26 +250,27 @@ class Crowd(NotCopied):
         """Index buffer of a level's seams, None where it has none."""
         return self.model.levels.seam_lines(level)
 
-    def _upload_levels(self, places_bytes: int) -> tuple[CrowdLevel, ...]:
+    def _upload_levels(self, vertex_animation_bytes: int) -> tuple[CrowdLevel, ...]:
         """Buffers and textures of every level."""
         meshes, matrices = self._meshes(), self.baked.matrices
         levels = []
-        for mesh, places in zip(meshes, bake_level_places(meshes, matrices, places_bytes, self._texture_limit)):
-            level = upload_level(self.ctx, mesh, places, matrices)
-            self._owned += [thing for thing in (level.vertices, level.places) if thing is not None]
+        animations = bake_level_animations(meshes, matrices, vertex_animation_bytes, self._texture_limit)
+        for mesh, animation in zip(meshes, animations):
+            level = upload_level(self.ctx, mesh, animation, matrices)
+            self._owned += [thing for thing in (level.vertices, level.animation) if thing is not None]
             levels.append(level)
         return tuple(levels)
 
     # Drawing
 
-    def draw_in(self, frame: CrowdFrame) -> None:
+    def draw_in(self, frame: Frame) -> None:
         """Draw everybody in view into a renderer's picture. Called by `Renderer.draw`."""
         if not self.visible or not self.count:
             return
         self._require_usable()
         if frame.level is not None and not 0 <= frame.level < len(self._levels):
             raise RenderError(f"the crowd has no level of detail {frame.level}: auto or 0 to {len(self._levels) - 1}")
-        selection = self.stage.select(frame.camera, frame.height_px, self.errors_m, frame.threshold_px, frame.level)
+        selection = self.state.select(frame.camera, frame.size_px, self.errors_m, frame.threshold_px, frame.level)
         self.last_counts = selection.counts + selection.mirrored
         if not len(selection.records):
             return
@@ -291,8 +295,7 @@ class Crowd(NotCopied):
         self._released = True
         if not can_free_now:
             return
-        if hasattr(self, "_passes"):
-            self._passes.release()
+        self._passes.release()
         for thing in self._owned:
             thing.release()
         self._owned.clear()

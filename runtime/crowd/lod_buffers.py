@@ -1,13 +1,14 @@
 """A crowd's levels of detail: vertices with attributes, expanded once from the textures of their model.
 
 The GPU expands them itself (crowd_expand.vert, transform feedback), with the functions that draw single actors. Of the
-coarsest levels the places of all vertices in all baked poses are made ready (crowd_places.py), as far as memory allows.
+coarsest levels the positions of all vertices in all baked poses are made ready (vertex_animation_texture.py), as far as
+memory allows.
 Letters in shapes: V vertices, K records times four joints.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -17,19 +18,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.crowd.animation_texture import dropped_shift, pick_joints
-from runtime.crowd.vertex_animation_texture import ROUNDING_SHARE, Places, bake_places
+from runtime.crowd.vertex_animation_texture import ROUNDING_REL, VertexAnimation, bake_vertex_animation
 from runtime.gpu import gl_state
-from runtime.gpu.lod_buffers import DrawGroup
+from runtime.gpu.lod_buffers import MaterialRange
 from runtime.gpu.model import Model
 from runtime.gpu.programs import assemble
-from runtime.gpu.textures import TEXTURE_UNITS
+from runtime.gpu.textures import TEXTURE_UNITS, make_texture
+from runtime.gpu.vertex_layout import (
+    CANONICAL_UVS,
+    NORMAL_UVS,
+    Attribute,
+    bind_buffer,
+    crowd_attributes,
+    crowd_vertex_bytes,
+    step_defines,
+)
 
 Floats = NDArray[np.floating[Any]]
-_EXPANDED_BYTES = 44  # a vertex: position, four joints, four weights, float32
-
-
-# Four joints a vertex rather than eight where that moves nothing by more than this part of the level's own error.
-DROPPED_SHARE = 0.15
+_EXPANDED_BYTES = 44  # of a vertex: position, four joints, four weights, float32
+# Four joints per vertex rather than eight where that moves nothing by more than this part of the level's own error.
+DROPPED_REL = 0.15
 
 
 @dataclass(frozen=True)
@@ -46,7 +54,7 @@ class LevelMesh:
         Of triangles.
     index_size : int
         Bytes an index.
-    groups : tuple of DrawGroup
+    ranges : tuple of MaterialRange
     error_m : float
     normal_uvs : Buffer or None
         As of `GpuLod`; not released with the crowd.
@@ -58,7 +66,7 @@ class LevelMesh:
     weights: Floats
     indices: moderngl.Buffer
     index_size: int
-    groups: tuple[DrawGroup, ...]
+    ranges: tuple[MaterialRange, ...]
     error_m: float
     normal_uvs: moderngl.Buffer | None = None
 
@@ -70,28 +78,30 @@ class CrowdLevel:
     Attributes
     ----------
     vertices, indices : Buffer
+    attributes : tuple of Attribute
+        What lies in `vertices`.
     index_size : int
-    groups : tuple of DrawGroup
-    eight_joints : bool
-        Eight joints a vertex, not four.
-    places : Texture or None
-        Places of all vertices in all poses, where they are ready-made.
-    place_scale, place_offset : tuple of three float
-        A place in metres is what `places` holds, times the scale, plus the offset.
+    ranges : tuple of MaterialRange
+    defines : mapping
+        Preprocessor definitions that the level asks for.
+    uniforms : mapping
+        That the level gives its programs.
+    animation : Texture or None
+        Positions of all vertices in all poses, where they are ready-made.
     error_m : float
-        Of the shape, and of what was simplified here.
+        Of the shape, as for single actors: what was simplified here counts where it is more than `DROPPED_REL` of it.
     normal_uvs : Buffer or None
         Of the mesh.
     """
 
     vertices: moderngl.Buffer
     indices: moderngl.Buffer
+    attributes: tuple[Attribute, ...]
     index_size: int
-    groups: tuple[DrawGroup, ...]
-    eight_joints: bool
-    places: moderngl.Texture | None
-    place_scale: tuple[float, ...]
-    place_offset: tuple[float, ...]
+    ranges: tuple[MaterialRange, ...]
+    defines: Mapping[str, int]
+    uniforms: Mapping[str, Any]
+    animation: moderngl.Texture | None
     error_m: float
     normal_uvs: moderngl.Buffer | None
 
@@ -142,8 +152,8 @@ def _expand(
 ) -> list[NDArray[np.float32]]:
     """What the shader writes for every vertex, (V, 11), one array a record of a weight cell."""
     count = len(canonical_uvs)
-    places = ctx.buffer(np.ascontiguousarray(canonical_uvs).tobytes())
-    array = ctx.vertex_array(program, [(places, "2f4", "in_canonical_uv")])
+    vertices = ctx.buffer(np.ascontiguousarray(canonical_uvs).tobytes())
+    array = ctx.vertex_array(program, [bind_buffer(program, vertices, (CANONICAL_UVS,))])
     output = ctx.buffer(reserve=max(count, 1) * _EXPANDED_BYTES)
     parts = []
     for number in range(num_records):
@@ -151,7 +161,7 @@ def _expand(
         array.transform(output, mode=moderngl.POINTS, vertices=count)
         parts.append(np.frombuffer(output.read(), dtype=np.float32).reshape(-1, 11)[:count])
     array.release()
-    places.release()
+    vertices.release()
     output.release()
     return parts
 
@@ -166,7 +176,7 @@ def model_meshes(ctx: moderngl.Context, model: Model) -> list[LevelMesh]:
             weights=weights,
             indices=lod.indices,
             index_size=lod.index_size,
-            groups=lod.groups,
+            ranges=lod.ranges,
             error_m=lod.mesh.error_m,
             normal_uvs=lod.normal_uvs,
         )
@@ -174,10 +184,10 @@ def model_meshes(ctx: moderngl.Context, model: Model) -> list[LevelMesh]:
     ]
 
 
-def bake_level_places(
-    meshes: Sequence[LevelMesh], matrices: NDArray[np.float32], most_bytes: int, most_places: int
-) -> list[Places | None]:
-    """Ready-made places of the coarsest levels: of as many as memory and their own error allow.
+def bake_level_animations(
+    meshes: Sequence[LevelMesh], matrices: NDArray[np.float32], most_bytes: int, most_columns: int
+) -> list[VertexAnimation | None]:
+    """Ready-made positions of the coarsest levels: of as many as memory and their own error allow.
 
     Parameters
     ----------
@@ -185,66 +195,53 @@ def bake_level_places(
     matrices : (R, J, 3, 4) float32
     most_bytes : int
         Of all levels together.
-    most_places : int
+    most_columns : int
         Of one level.
     """
-    found: list[Places | None] = [None] * len(meshes)
+    found: list[VertexAnimation | None] = [None] * len(meshes)
     left = most_bytes
     for number in range(len(meshes) - 1, -1, -1):
         mesh = meshes[number]
         if len(mesh.positions) == 0 or 4 * len(matrices) * len(mesh.positions) > 8 * max(left, 0):
-            break  # too many even if most vertices shared their places
-        places = bake_places(matrices, mesh.positions, mesh.joints, mesh.weights)
-        left -= places.texels.nbytes
-        if left < 0 or places.texels.shape[1] > most_places or places.rounding_m > ROUNDING_SHARE * mesh.error_m:
+            break  # too many even if most vertices shared their columns
+        animation = bake_vertex_animation(matrices, mesh.positions, mesh.joints, mesh.weights)
+        left -= animation.texels.nbytes
+        if left < 0 or animation.texels.shape[1] > most_columns or animation.rounding_m > ROUNDING_REL * mesh.error_m:
             break
-        found[number] = places
+        found[number] = animation
     return found
 
 
 def upload_level(
-    ctx: moderngl.Context, mesh: LevelMesh, places: Places | None, matrices: NDArray[np.float32]
+    ctx: moderngl.Context, mesh: LevelMesh, animation: VertexAnimation | None, matrices: NDArray[np.float32]
 ) -> CrowdLevel:
     """Put a level on the GPU. Its indices are those of the mesh, and stay their owner's."""
     shifts = [dropped_shift(matrices, mesh.positions, mesh.joints, mesh.weights, width) for width in (4, 8)]
-    eight = places is None and shifts[0] > DROPPED_SHARE * mesh.error_m and shifts[0] > shifts[1]
+    eight = animation is None and shifts[0] > DROPPED_REL * mesh.error_m and shifts[0] > shifts[1]
     joints, weights = pick_joints(mesh.joints, mesh.weights, 8 if eight else 4)
-    numbers = np.zeros(len(mesh.positions), np.uint16) if places is None else places.place_of_vertex
-    vertices = ctx.buffer(vertex_bytes(mesh.positions, mesh.uvs, joints, weights, numbers))
-    texture = None
-    if places is not None:
-        texture = ctx.texture(places.texels.shape[::-1], 1, places.texels.tobytes(), dtype="u4")
-        texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
-        texture.repeat_x = texture.repeat_y = False
+    attributes = crowd_attributes(joints.shape[1])
+    columns = np.zeros(len(mesh.positions), np.uint16) if animation is None else animation.column_of_vertex
+    vertices = ctx.buffer(crowd_vertex_bytes(mesh.positions, mesh.uvs, joints, weights, columns))
+    defines: dict[str, int] = {"EIGHT_JOINTS": 1} if eight else {}
+    if mesh.normal_uvs is not None:
+        defines |= step_defines(NORMAL_UVS)
+    texture, uniforms = None, {}
+    if animation is not None:
+        texture = make_texture(ctx, animation.texels[:, :, None], linear=False)
+        texture.write(animation.texels)
+        defines["VERTEX_ANIMATION"] = 1
+        scale, offset = tuple(animation.scale.tolist()), tuple(animation.offset.tolist())
+        uniforms = {"vertex_animation_scale": scale, "vertex_animation_offset": offset}
+    simplified_m = shifts[int(eight)] if animation is None else animation.rounding_m
     return CrowdLevel(
         vertices=vertices,
         indices=mesh.indices,
+        attributes=attributes,
         index_size=mesh.index_size,
-        groups=mesh.groups,
-        eight_joints=eight,
-        places=texture,
-        place_scale=(0.0, 0.0, 0.0) if places is None else tuple(places.scale.tolist()),
-        place_offset=(0.0, 0.0, 0.0) if places is None else tuple(places.offset.tolist()),
-        error_m=mesh.error_m + (shifts[int(eight)] if places is None else places.rounding_m),
+        ranges=mesh.ranges,
+        defines=defines,
+        uniforms=uniforms,
+        animation=texture,
+        error_m=mesh.error_m + (simplified_m if simplified_m > DROPPED_REL * mesh.error_m else 0.0),
         normal_uvs=mesh.normal_uvs,
     )
-
-
-def vertex_bytes(
-    positions: Floats, uvs: Floats, joints: NDArray[np.uint16], weights: Floats, places: NDArray[np.uint16]
-) -> bytes:
-    """Vertices as crowd.vert reads them: position and uv float32, joints uint16, weights float16, place uint16 twice.
-
-    Parameters
-    ----------
-    positions : (V, 3) float, metres
-    uvs : (V, 2) float
-    joints, weights : (V, 4 or 8)
-    places : (V,) uint16
-    """
-    parts = (
-        *(positions.astype("<f4"), uvs.astype("<f4"), joints.astype("<u2"), weights.astype("<f2")),
-        np.repeat(places.astype("<u2")[:, None], 2, axis=1),
-    )
-    rows = [np.ascontiguousarray(part).view(np.uint8).reshape(len(positions), -1) for part in parts]
-    return np.concatenate(rows, axis=1).tobytes()

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from runtime.animation.bounds import JointBoxes
 from runtime.crowd.animation_texture import BakedClips
+from runtime.gpu.vertex_layout import CROWD_INSTANCE
 from runtime.scene.camera import CameraMatrices
-from runtime.scene.lod_selection import HYSTERESIS
+from runtime.scene.lod_selection import carry_boxes, carry_parts, choose_levels, largest_stretch, measure
+from runtime.validation import describe
 from runtime.validation import numbers as finite
-from runtime.validation import shown
 
 Floats = NDArray[np.floating[Any]]
-CLOSE_RADII = 20.0  # actors at so many radii or less are looked at more closely
-INSTANCE_WORDS = 14  # rows (3, 4) float32, row of the baked clips float32, tint 4 × uint8
 
 
 @dataclass(frozen=True)
@@ -29,31 +29,31 @@ class Selection:
 
     Attributes
     ----------
-    records : (S, 14) float32
-        World matrix rows (from the eye), pose row, tint as four bytes.
+    records : (S,) CROWD_INSTANCE
     first : (L,) int64
         First record of each level; mirrored actors of a level come last.
     counts, mirrored : (L,) int64
         Actors of each level that are not and that are mirrored.
     """
 
-    records: NDArray[np.float32]
+    records: NDArray[Any]
     first: NDArray[np.int64]
     counts: NDArray[np.int64]
     mirrored: NDArray[np.int64]
 
 
-class Stage:
+class CrowdState:
     """State of A actors.
 
     Parameters
     ----------
     baked : BakedClips
+    joint_boxes : JointBoxes
     count : int
     """
 
-    def __init__(self, baked: BakedClips, count: int) -> None:
-        self.baked = baked
+    def __init__(self, baked: BakedClips, joint_boxes: JointBoxes, count: int) -> None:
+        self.baked, self.joint_boxes = baked, joint_boxes
         self.count = count
         self.clock_s = 0.0
         self.clips = np.full(count, len(baked.names) - 1, dtype=np.int64)
@@ -62,10 +62,11 @@ class Stage:
         self.loops = np.ones(count, dtype=bool)
         self.tints = np.full((count, 4), 255, dtype=np.uint8)
         self.visible = np.ones(count, dtype=bool)
+        self._row_boxes = np.ascontiguousarray(baked.row_boxes.reshape(-1, 6).T)
         self._rows = np.zeros((count, 12), dtype=np.float32)
         self._rows[:, [0, 5, 10]] = 1
         self._positions = np.zeros((count, 3))
-        self._scales = np.ones(count, dtype=np.float32)
+        self._stretches = np.ones(count, dtype=np.float32)
         self._mirrored = np.zeros(count, dtype=bool)
         self._centres = np.zeros((count, 3))
         self._radii = np.zeros(count, dtype=np.float32)
@@ -82,7 +83,7 @@ class Stage:
         kind = numbers.dtype.kind
         if numbers.ndim != 1 or (numbers.size and kind not in "biu") or (kind == "b" and len(numbers) != self.count):
             raise ValueError(
-                f"`which` must be a slice, a mask of {self.count} or numbers of actors, not {shown(which)}"
+                f"`which` must be a slice, a mask of {self.count} or numbers of actors, not {describe(which)}"
             )
         numbers = np.flatnonzero(numbers) if kind == "b" else numbers.astype(np.int64)
         if len(numbers) and not (-self.count <= numbers.min() and numbers.max() < self.count):
@@ -101,7 +102,7 @@ class Stage:
         try:
             matrices = np.asarray(transforms, dtype=np.float64)
         except (TypeError, ValueError):
-            raise ValueError(f"transforms must be 4×4 matrices, not {shown(transforms)}") from None
+            raise ValueError(f"transforms must be 4×4 matrices, not {describe(transforms)}") from None
         if matrices.shape not in ((4, 4), (len(numbers), 4, 4)):
             raise ValueError(f"transforms must be (4, 4) or ({len(numbers)}, 4, 4), not {matrices.shape}")
         if not np.isfinite(matrices).all():
@@ -111,13 +112,7 @@ class Stage:
         linear = matrices[:, :3, :3]
         self._rows[numbers] = matrices[:, :3].reshape(-1, 12)
         self._positions[numbers] = matrices[:, :3, 3]
-        # The Frobenius norm bounds every stretch; of a rotation with one scale it is √3 too large: take columns then.
-        columns = np.linalg.norm(linear, axis=1)
-        product = np.einsum("arc,ard->acd", linear, linear)
-        skew = np.abs(product - columns[:, :, None] * columns[:, None, :] * np.eye(3)).max(axis=(1, 2))
-        largest = columns.max(axis=1)
-        rigid = skew <= 1e-5 * np.maximum(largest, 1e-30) ** 2
-        self._scales[numbers] = np.where(rigid, largest, np.linalg.norm(linear, axis=(1, 2))) * (1 + 1e-5)
+        self._stretches[numbers] = largest_stretch(linear) * (1 + 1e-5)
         self._mirrored[numbers] = np.linalg.det(linear) < 0
         self.place_spheres(numbers)
 
@@ -142,7 +137,7 @@ class Stage:
         rows[:, 3:12:4] = places
         self._rows[where] = rows
         self._positions[where] = places
-        self._scales[where] = 1 + 1e-5
+        self._stretches[where] = 1 + 1e-5
         self._mirrored[where] = False
         self.place_spheres(where)
 
@@ -153,66 +148,51 @@ class Stage:
         local = self.baked.centres[clips]
         x, y, z = (rows[:, :, axis] * local[:, axis, None] for axis in range(3))
         self._centres[numbers] = self._positions[numbers] + (x + y + z)
-        self._radii[numbers] = self.baked.radii_m[clips] * self._scales[numbers]
+        self._radii[numbers] = self.baked.radii_m[clips] * self._stretches[numbers]
 
     @property
     def spheres(self) -> tuple[NDArray[np.float64], Floats]:
         """Centres (A, 3) in the world and radii (A,), metres: each holds its actor in all poses of its clip."""
         return self._centres, self._radii
 
-    def seen(self, camera: CameraMatrices) -> tuple[NDArray[np.int64], Floats, Floats]:
-        """Actors whose sphere touches the view: numbers (S,), view-space centres (S, 3) float32, radii (S,)."""
-        rotation = camera.rotation.astype(np.float32)
+    def _spheres_in_view(self, camera: CameraMatrices) -> NDArray[np.int64]:
+        """Visible actors whose sphere touches the view, (S,): a quick pick of whom to look at more closely."""
+        sides = camera.functions[:6] / np.linalg.norm(camera.functions[:6, :3], axis=1).clip(1e-300)[:, None]
+        sides32 = sides.astype(np.float32)
         offsets = (self._centres - camera.eye).astype(np.float32)
-        view = offsets @ rotation.T
-        projection = camera.projection
-        planes = np.concatenate([projection[3] + projection[:3], projection[3] - projection[:3]])
-        planes = (planes / np.linalg.norm(planes[:, :3], axis=1, keepdims=True)).astype(np.float32)
         inside = self.visible.copy()
-        for plane in planes:
-            inside &= view @ plane[:3] >= -self._radii - plane[3]
-        numbers = np.flatnonzero(inside)
-        return numbers, view[numbers], self._radii[numbers]
+        for side in sides32:
+            inside &= offsets @ side[:3] >= -self._radii - side[3]
+        return np.flatnonzero(inside)
 
-    def pixels_per_metre(
-        self, numbers: NDArray[np.int64], view: Floats, radii: Floats, camera: CameraMatrices, height_px: int
-    ) -> Floats:
-        """Largest size on the screen of a displacement of one metre of each seen actor, (S,) pixels.
+    def measure(
+        self, rows: Floats, stretches: Floats, pose_rows: Floats, camera: CameraMatrices, size_px: tuple[int, int]
+    ) -> tuple[NDArray[np.bool_], Floats]:
+        """Whether actors are in view, and pixels per metre of each, (S,) both, as of single actors (lod_selection).
 
-        By the depth of the nearest point of the clip's box, and how far aside its sphere reaches (scene.lod_selection).
+        Parameters
+        ----------
+        rows : (S, 12) float32
+            Transforms to the world's axes around the eye.
+        stretches : (S,) float32
+            From `largest_stretch`.
+        pose_rows : (S,) float64
+        camera : CameraMatrices
+        size_px : width and height of the picture
         """
-        focal_px = np.float32(camera.projection[1, 1] * height_px / 2)
-        scales = self._scales[numbers]
-        if not camera.is_perspective:
-            return scales * focal_px
-        nearest = -view[:, 2] - radii
-        close = np.flatnonzero(nearest < CLOSE_RADII * radii)  # farther away it makes no difference
-        # How far the box reaches towards the eye: the sum of its half sizes, each as long as it is seen along the view.
-        linear = self._rows[numbers[close]].reshape(-1, 3, 4)[:, :, :3]
-        along = np.abs(np.einsum("src,r->sc", linear, camera.rotation[2]))
-        reach = np.einsum("sc,sc->s", along, self.baked.halves[self.clips[numbers[close]]])
-        nearest[close] = -view[close, 2] - np.minimum(reach, radii[close])
-        safe = np.maximum(nearest, np.float32(1e-6))
-        aside = (np.hypot(view[:, 0], view[:, 1]) + radii) / safe
-        widest = float(np.hypot(1 / camera.projection[0, 0], 1 / camera.projection[1, 1]))
-        across = np.sqrt(1 + np.minimum(aside, np.float32(widest)) ** 2)
-        return np.where(nearest > 0, scales * focal_px * across / safe, np.float32(np.inf))
+        first = pose_rows.astype(np.int64)
+        onwards = (pose_rows - first).astype(np.float32)
+        following = np.minimum(first + 1, len(self.baked.matrices) - 1)
+        boxes = self._row_boxes.take(first, axis=1)
+        boxes += (self._row_boxes.take(following, axis=1) - boxes) * onwards
 
-    def choose_levels(
-        self, numbers: NDArray[np.int64], pixels_a_metre: Floats, errors_m: Floats, threshold_px: float
-    ) -> NDArray[np.int8]:
-        """Coarsest level of each seen actor whose error stays under the threshold, with hysteresis. (S,) int8."""
-        errors = np.maximum.accumulate(np.asarray(errors_m, dtype=np.float64))
-        errors[0] = 0.0
-        with np.errstate(divide="ignore"):
-            limits = np.where(errors > 0, threshold_px / errors, np.inf)
-        free = np.searchsorted(-limits, -pixels_a_metre, side="right") - 1
-        strict = np.searchsorted(-limits * (1 - HYSTERESIS), -pixels_a_metre, side="right") - 1
-        before = self._levels[numbers]
-        levels = np.where((before >= 0) & (free > before), np.maximum(strict, before), free)
-        chosen = np.maximum(levels, 0).astype(np.int8)
-        self._levels[numbers] = chosen
-        return chosen
+        def parts(near: NDArray[np.int64]) -> Floats:
+            share = onwards[near, None, None, None]
+            matrices = self.baked.matrices[first[near]] * (1 - share) + self.baked.matrices[following[near]] * share
+            return carry_parts(self.joint_boxes.carried(matrices), rows[near].reshape(-1, 3, 4))
+
+        carried = carry_boxes(boxes[:3], boxes[3:], np.ascontiguousarray(rows.T).reshape(3, 4, -1))
+        return measure(carried, stretches, camera, size_px, parts)
 
     def forget_levels(self) -> None:
         """Choose levels anew at the next picture, as if it were the first: no hysteresis from the last one."""
@@ -231,7 +211,7 @@ class Stage:
     def select(
         self,
         camera: CameraMatrices,
-        height_px: int,
+        size_px: tuple[int, int],
         errors_m: Floats,
         threshold_px: float,
         level: int | None = None,
@@ -241,28 +221,29 @@ class Stage:
         Parameters
         ----------
         camera : CameraMatrices
-        height_px : int
+        size_px : width and height of the picture
         errors_m : (L,) float
             Error of each level.
         threshold_px : float
         level : int, optional
             One level for all.
         """
-        numbers, view, radii = self.seen(camera)
-        num_levels = len(errors_m)
+        numbers = self._spheres_in_view(camera)
+        rows, pose_rows = self._rows[numbers], self.pose_rows(numbers)
+        rows[:, 3::4] = self._positions[numbers] - camera.eye
+        seen, scale_px = self.measure(rows, self._stretches[numbers], pose_rows, camera, size_px)
+        chosen = np.flatnonzero(seen)
+        numbers, scale_px = numbers[chosen], scale_px[chosen]
         if level is None:
-            scale_px = self.pixels_per_metre(numbers, view, radii, camera, height_px)
-            levels = self.choose_levels(numbers, scale_px, errors_m, threshold_px)
+            levels = choose_levels(errors_m, scale_px, threshold_px, self._levels[numbers]).astype(np.uint8)
+            self._levels[numbers] = levels
         else:
-            levels = np.full(len(numbers), level, dtype=np.int8)
-        keys = (levels * 2 + self._mirrored[numbers]).astype(np.uint8)
+            levels = np.full(len(numbers), level, np.uint8)
+        keys = levels * 2 + self._mirrored[numbers]
         order = np.argsort(keys, kind="stable")  # a radix sort: linear in time
-        numbers = numbers[order]
-        counts = np.bincount(keys, minlength=2 * num_levels).reshape(num_levels, 2)
-        records = np.empty((len(numbers), INSTANCE_WORDS), dtype=np.float32)
-        records[:, :12] = self._rows[numbers]
-        records[:, 3:12:4] = self._positions[numbers] - camera.eye
-        records[:, 12] = self.pose_rows(numbers)
-        records[:, 13] = self.tints[numbers].view(np.float32)[:, 0]
+        counts = np.bincount(keys, minlength=2 * len(errors_m)).reshape(len(errors_m), 2)
+        records = np.empty(len(numbers), CROWD_INSTANCE)
+        records["rows"] = rows[chosen[order]].reshape(-1, 3, 4)
+        records["pose_row"], records["tint"] = pose_rows[chosen[order]], self.tints[numbers[order]]
         totals = counts.sum(axis=1)
         return Selection(records, np.cumsum(totals) - totals, counts[:, 0], counts[:, 1])

@@ -17,24 +17,24 @@ Floats = NDArray[np.floating[Any]]
 
 BITS = (11, 11, 10)  # of x, y and z
 # A level is placed if rounding moves nothing by more than this part of its own error.
-ROUNDING_SHARE = 0.1
+ROUNDING_REL = 0.1
 
 
 @dataclass(frozen=True)
-class Places:
-    """Places of a level's vertices in every baked pose.
+class VertexAnimation:
+    """VertexAnimation of a level's vertices in every baked pose.
 
     Attributes
     ----------
     texels : (R, P) uint32
         x, y and z from the lowest bit up (`BITS`).
-    place_of_vertex : (V,) uint16
+    column_of_vertex : (V,) uint16
     scale, offset : (3,) float64
         Metres are whole numbers times scale plus offset.
     """
 
     texels: NDArray[np.uint32]
-    place_of_vertex: NDArray[np.uint16]
+    column_of_vertex: NDArray[np.uint16]
     scale: NDArray[np.float64]
     offset: NDArray[np.float64]
 
@@ -52,7 +52,9 @@ def _different(positions: Floats, joints: NDArray[Any], weights: Floats) -> tupl
     return chosen, place.ravel()
 
 
-def bake_places(matrices: NDArray[np.float32], positions: Floats, joints: NDArray[Any], weights: Floats) -> Places:
+def bake_vertex_animation(
+    matrices: NDArray[np.float32], positions: Floats, joints: NDArray[Any], weights: Floats
+) -> VertexAnimation:
     """Skin the vertices of a level in every baked pose.
 
     Parameters
@@ -68,7 +70,7 @@ def bake_places(matrices: NDArray[np.float32], positions: Floats, joints: NDArra
     ValueError
         When there are more places than 16 bits can number.
     """
-    chosen, place_of_vertex = _different(positions, joints, weights)
+    chosen, column_of_vertex = _different(positions, joints, weights)
     if len(chosen) > 0xFFFF:
         raise ValueError(f"{len(chosen)} places are more than 16 bits can number")
     num_rows, num_joints = matrices.shape[:2]
@@ -83,4 +85,4 @@ def bake_places(matrices: NDArray[np.float32], positions: Floats, joints: NDArra
     scale = np.maximum(high - low, 1e-9) / (2.0 ** np.array(BITS) - 1)
     whole = np.rint((places - low[:, None]) / scale[:, None]).astype(np.uint32)
     texels = whole[:, 0] | whole[:, 1] << BITS[0] | whole[:, 2] << (BITS[0] + BITS[1])
-    return Places(np.ascontiguousarray(texels), place_of_vertex.astype(np.uint16), scale, low)
+    return VertexAnimation(np.ascontiguousarray(texels), column_of_vertex.astype(np.uint16), scale, low)

@@ -17,7 +17,8 @@ class Limits:
     Attributes
     ----------
     number : float
-        Of coordinates, matrices, factors and key values, either sign.
+        Of coordinates, matrices, factors and key values, either sign: 10⁹ metres, where 32 bits are no finer than a
+        character.
     whole : int
         Of indices, counts and sizes in a file's text.
     uv : float
@@ -38,7 +39,7 @@ class Limits:
         Of all images of a file together.
     """
 
-    number: float = 1e12
+    number: float = 1e9
     whole: int = 2**48
     uv: float = 2.0**16
     time_s: float = 1e6

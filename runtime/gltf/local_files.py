@@ -11,7 +11,7 @@ from pathlib import Path
 
 from runtime.errors import AssetError
 from runtime.gltf.limits import LIMITS
-from runtime.validation import shown
+from runtime.validation import describe
 
 KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -59,11 +59,11 @@ def find_local_file(folder: Path, name: str, what: str, advice: str) -> Path:
     except (FileNotFoundError, NotADirectoryError):
         raise MissingFileError(f"{what}: {folder / name} is missing: {advice}") from None
     except (OSError, ValueError, RuntimeError):  # too long, a zero byte, a circle of links
-        raise AssetError(f"{what}: {shown(name)} is no name of a file: {advice}") from None
+        raise AssetError(f"{what}: {describe(name)} is no name of a file: {advice}") from None
     if not inside:
-        raise AssetError(f"{what}: {shown(name)} is outside of {folder}: {advice}")
+        raise AssetError(f"{what}: {describe(name)} is outside of {folder}: {advice}")
     if (kind := name_kind(mode)) is not None:
-        raise AssetError(f"{what}: {shown(name)} is {kind}, not a regular file: {advice}")
+        raise AssetError(f"{what}: {describe(name)} is {kind}, not a regular file: {advice}")
     return path
 
 

@@ -26,6 +26,7 @@ INDEX, NUMBER, TEXT = Kind.INDEX, Kind.NUMBER, Kind.TEXT
 Rule = Any
 
 EXTENSIONS: Rule = {"*": {}}
+NODE_EXTENSIONS: Rule = {"MSFT_lod": {"ids": [INDEX]}, "*": {}}
 TEXTURE_INFO: Rule = {
     "index": INDEX,
     "texCoord": INDEX,
@@ -89,7 +90,7 @@ SCHEMA: Rule = {
             "rotation": [NUMBER],
             "scale": [NUMBER],
             "weights": [NUMBER],
-            "extensions": EXTENSIONS,
+            "extensions": NODE_EXTENSIONS,
         }
     ],
     "meshes": [{"primitives": [PRIMITIVE], "weights": [NUMBER]}],

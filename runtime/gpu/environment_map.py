@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from runtime.scene.lighting import MAP_SIZE, NUM_LEVELS, Environment, map_directions
 
-STEPS_A_LEVEL = 8
-FIRST_STEP = STEPS_A_LEVEL  # sharper ones are for a roughness below any that is drawn
-LAST_STEP = STEPS_A_LEVEL * (NUM_LEVELS - 1)
+STEPS_PER_LEVEL = 8
+FIRST_STEP = STEPS_PER_LEVEL  # sharper ones are for a roughness below any that is drawn
+LAST_STEP = STEPS_PER_LEVEL * (NUM_LEVELS - 1)
 LARGEST_TILE = MAP_SIZE // 2  # a side of a half sphere's square in the first column
 COLUMN_STARTS = (8, 16, 24)  # the first step in each column
-MAP_WIDTH, MAP_HEIGHT = 4 * LARGEST_TILE, STEPS_A_LEVEL * LARGEST_TILE
+MAP_WIDTH, MAP_HEIGHT = 4 * LARGEST_TILE, STEPS_PER_LEVEL * LARGEST_TILE
 DIFFUSE_TILE = 48  # what nine harmonics hold varies so slowly that a sample is off by half a percent at most
 DIFFUSE_CORNER = (400, 160)  # row, column: below the last tiles of both smaller columns
 
@@ -48,22 +48,22 @@ def tile_corner(step: int) -> tuple[int, int, int]:
     return (step - COLUMN_STARTS[column]) * size, MAP_WIDTH - (MAP_WIDTH >> column), size
 
 
-def mirrored_light(environment: Environment) -> Iterator[tuple[int, NDArray[np.float64]]]:
+def specular_radiance(environment: Environment) -> Iterator[tuple[int, NDArray[np.float64]]]:
     """Each step and its tile (S, 2 S, 3): what a roughness of (step / LAST_STEP)^2 mirrors."""
     for column, start in enumerate(COLUMN_STARTS):
         end = [*COLUMN_STARTS, LAST_STEP + 1][column + 1]
-        first, last = start // STEPS_A_LEVEL, -(-(end - 1) // STEPS_A_LEVEL)
+        first, last = start // STEPS_PER_LEVEL, -(-(end - 1) // STEPS_PER_LEVEL)
         levels = [_enlarged(level, LARGEST_TILE >> column) for level in environment.levels[first : last + 1]]
         for step in range(start, end):
-            level, between = divmod(step - start, STEPS_A_LEVEL)
-            share = between / STEPS_A_LEVEL
+            level, between = divmod(step - start, STEPS_PER_LEVEL)
+            share = between / STEPS_PER_LEVEL
             yield step, levels[level] if not share else levels[level] * (1 - share) + levels[level + 1] * share
 
 
-def light_map(environment: Environment) -> NDArray[np.float32]:
+def prefiltered_map(environment: Environment) -> NDArray[np.float32]:
     """Texels (640, 320, 3) of the whole map."""
     texels = np.zeros((MAP_HEIGHT, MAP_WIDTH, 3), np.float32)
-    for step, tile in mirrored_light(environment):
+    for step, tile in specular_radiance(environment):
         row, column, size = tile_corner(step)
         texels[row : row + size, column : column + 2 * size] = tile
     row, column = DIFFUSE_CORNER

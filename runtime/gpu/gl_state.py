@@ -16,10 +16,11 @@ from typing import Any
 from runtime.errors import RenderError
 
 # OpenGL's names for what is saved.
-CULL_FACE, DEPTH_TEST, BLEND, POLYGON_OFFSET_FILL = 0x0B44, 0x0B71, 0x0BE2, 0x8037
+CULL_FACE, DEPTH_TEST, BLEND, POLYGON_OFFSET_FILL, PRIMITIVE_RESTART = 0x0B44, 0x0B71, 0x0BE2, 0x8037, 0x8F9D
 POLYGON_OFFSET_LINE, SAMPLE_ALPHA_TO_COVERAGE, FRAMEBUFFER_SRGB, RASTERIZER_DISCARD = 0x2A02, 0x809E, 0x8DB9, 0x8C89
 CAPABILITIES = (
     CULL_FACE, DEPTH_TEST, BLEND, POLYGON_OFFSET_FILL, POLYGON_OFFSET_LINE, SAMPLE_ALPHA_TO_COVERAGE, FRAMEBUFFER_SRGB,
+    PRIMITIVE_RESTART,
 )  # fmt: skip
 CULL_FACE_MODE, FRONT_FACE, DEPTH_FUNC, DEPTH_WRITEMASK, POLYGON_MODE = 0x0B45, 0x0B46, 0x0B74, 0x0B72, 0x0B40
 BLEND_DST_RGB, BLEND_SRC_RGB, BLEND_DST_ALPHA, BLEND_SRC_ALPHA = 0x80C8, 0x80C9, 0x80CA, 0x80CB
@@ -34,6 +35,7 @@ PIXEL_UNPACK_BUFFER, ARRAY_BUFFER, UNIFORM_BUFFER, TEXTURE_2D = 0x88EC, 0x8892, 
 FLOAT, UNSIGNED_BYTE = 0x1406, 0x1401
 DRAW_FRAMEBUFFER, DRAW_FRAMEBUFFER_BINDING, READ_FRAMEBUFFER, READ_FRAMEBUFFER_BINDING = 0x8CA9, 0x8CA6, 0x8CA8, 0x8CAA
 FRONT, BACK, FRONT_AND_BACK, CW, CCW, LINE, FILL = 0x0404, 0x0405, 0x0408, 0x0900, 0x0901, 0x1B01, 0x1B02
+COLOR, DEPTH = 0x1800, 0x1801  # of what glClearBufferfv clears
 LESS, LEQUAL, ZERO, ONE, SRC_ALPHA, ONE_MINUS_SRC_ALPHA, FUNC_ADD = 0x0201, 0x0203, 0, 1, 0x0302, 0x0303, 0x8006
 
 _I, _U, _F, _B, _S = ctypes.c_int, ctypes.c_uint, ctypes.c_float, ctypes.c_ubyte, ctypes.c_ssize_t
@@ -57,7 +59,8 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "glCreateShader": (_U, _U), "glShaderSource": (None, _U, _I, _P, _P), "glCompileShader": (None, _U),
     "glGetShaderiv": (None, _U, _U, _P), "glGetShaderInfoLog": (None, _U, _I, _P, _P), "glDeleteShader": (None, _U),
     "glViewport": (None, _I, _I, _I, _I),
-    "glBindFramebuffer": (None, _U, _U), "glVertexAttribPointer": (None, _U, _I, _U, _B, _I, _P),
+    "glBindFramebuffer": (None, _U, _U), "glClearBufferfv": (None, _U, _I, _P),
+    "glVertexAttribPointer": (None, _U, _I, _U, _B, _I, _P),
 }  # fmt: skip
 _Integers = ctypes.c_int * 16  # no state has more
 _MUST_CONVERT = {_F, _S, _A}  # what ctypes passes otherwise unless told
@@ -190,6 +193,14 @@ def compile_shader(text: str, stage: str) -> tuple[bool, str]:
     gl.glGetShaderInfoLog(shader, len(log), None, log)
     gl.glDeleteShader(shader)
     return bool(status.value), log.value.decode(errors="replace").strip()
+
+
+def clear_bound(color: Sequence[float], depth: float) -> None:
+    """Fill colour and depth of the framebuffer that is bound, whoever bound it; scissor and colour mask count."""
+    gl = functions()
+    gl.glDepthMask(1)
+    gl.glClearBufferfv(COLOR, 0, (ctypes.c_float * 4)(*color))
+    gl.glClearBufferfv(DEPTH, 0, (ctypes.c_float * 1)(depth))
 
 
 _SWITCHES = len(CAPABILITIES)

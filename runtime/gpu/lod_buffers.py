@@ -1,13 +1,9 @@
-"""Levels of detail on the GPU: vertices, indices of triangles, patches and seams, and what each program reads of them.
-
-A vertex is two uvs: its own, for the material, and its canonical uv, for the geometry; where a level has hard edges, a
-third lies in a buffer of its own, for the normal. What an actor adds comes as one record an instance.
-"""
+"""Levels of detail on the GPU: vertices, indices of triangles, patches and seams, and the vertex arrays over them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import moderngl
@@ -15,35 +11,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.asset.asset import Asset, MaterialData
-from runtime.asset.lod_mesh import LodMesh
+from runtime.asset.lod_mesh import LodMesh, uv_steps
+from runtime.gpu.material_packing import MaterialChannels
 from runtime.gpu.patch_validation import divided_patches, patch_tolerance_m
 from runtime.gpu.patches import seam_edges
-
-INSTANCE = np.dtype([("rows", "<f4", (3, 4)), ("tint", "<f4", 4), ("numbers", "<i4", 2)])
-# Of a vertex: its own uv, then its canonical one; as 16-bit steps where these say exactly what all levels have.
-UV_ATTRIBUTES = {
-    "uvs": {True: ("2u2", "in_uv_steps"), False: ("2f4", "in_uv")},
-    "canonical_uvs": {True: ("2u2", "in_canonical_steps"), False: ("2f4", "in_canonical_uv")},
-}
-ATTRIBUTE_DEFINES = {"in_uv_steps": "UV_STEPS", "in_canonical_steps": "CANONICAL_STEPS"}
-NORMAL_ATTRIBUTES = (("2u2", "in_normal_uv"),)
-UV_STEPS = 65535  # uvs in 16 bits count them; moderngl knows no normalised attributes of 16 bits
-INSTANCE_ATTRIBUTES = (
-    ("4f4", "in_world_row0"),
-    ("4f4", "in_world_row1"),
-    ("4f4", "in_world_row2"),
-    ("4f4", "in_tint"),
-    ("2i4", "in_numbers"),
+from runtime.gpu.vertex_layout import (
+    ACTOR_ATTRIBUTES,
+    NORMAL_UVS,
+    Attribute,
+    bind_buffer,
+    index_bytes,
+    index_size,
+    step_defines,
+    uv_attributes,
+    vertex_bytes,
 )
 
 
 @dataclass(frozen=True)
-class DrawGroup:
-    """Consecutive faces of a LOD with equal materials."""
+class MaterialRange:
+    """Consecutive faces of a LOD with equal materials.
+
+    Attributes
+    ----------
+    first, count : int
+    material : MaterialData
+    defines : tuple of str
+        From `material_defines`.
+    """
 
     first: int
     count: int
     material: MaterialData
+    defines: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class GpuLod:
     ----------
     mesh : LodMesh
         What the buffers were made from.
-    groups : tuple of DrawGroup
+    ranges : tuple of MaterialRange
         One draw call each.
     vertices : Buffer
         `vertex_bytes`.
@@ -62,29 +62,22 @@ class GpuLod:
         Of triangles, three each.
     index_size : int
         Bytes per index, 2 or 4.
-    attributes : tuple of (format, name)
-        What lies in `vertices`, from `vertex_attributes`.
+    attributes : tuple of Attribute
+        What lies in `vertices`.
+    program_defines : tuple of (str, int)
+        Preprocessor definitions of programs that draw the level, whatever the material.
     normal_uvs : Buffer or None
-        `normal_bytes`, where the level has normal uvs.
+        Where the level has normal uvs: two uint16 per vertex.
     """
 
     mesh: LodMesh
-    groups: tuple[DrawGroup, ...]
+    ranges: tuple[MaterialRange, ...]
     vertices: moderngl.Buffer
     indices: moderngl.Buffer
     index_size: int
-    attributes: tuple[tuple[str, str], ...]
+    attributes: tuple[Attribute, ...]
+    program_defines: tuple[tuple[str, int], ...]
     normal_uvs: moderngl.Buffer | None = None
-
-    @property
-    def shader_defines(self) -> dict[str, int]:
-        """Preprocessor definitions that programs for this level need, beside the model's."""
-        return self.uv_defines if self.normal_uvs is None else {**self.uv_defines, "NORMAL_UV": 1}
-
-    @property
-    def uv_defines(self) -> dict[str, int]:
-        """Those of them that say how uvs come; the same for all levels of a model."""
-        return {ATTRIBUTE_DEFINES[name]: 1 for _, name in self.attributes if name in ATTRIBUTE_DEFINES}
 
     @property
     def nbytes(self) -> int:
@@ -93,50 +86,35 @@ class GpuLod:
         return sum(int(buffer.size) for buffer in buffers if buffer is not None)
 
 
-def draw_groups(mesh: LodMesh, materials: tuple[MaterialData, ...]) -> tuple[DrawGroup, ...]:
+def material_defines(material: MaterialData) -> tuple[str, ...]:
+    """Preprocessor definitions that leave out of a program what a material does without (surface.glsl)."""
+    lacks = {
+        "NO_ALPHA_TEST": material.alpha_mode != "MASK",
+        "NO_BLEND": material.alpha_mode != "BLEND",
+        "NO_FACTOR": material.base_color_factor == (1.0, 1.0, 1.0, 1.0),
+        "NO_ROUGHNESS_FACTOR": material.roughness_factor == 1.0,
+        "NO_EMISSION": not any(material.emissive_factor),
+        "NO_METAL": not material.metallic_factor,
+        "ONE_SIDED": not material.double_sided,
+        "UNLIT": material.unlit,
+    }
+    return tuple(name for name, lacking in lacks.items() if lacking)
+
+
+def material_ranges(mesh: LodMesh, channels: MaterialChannels) -> tuple[MaterialRange, ...]:
     """Ranges of a level's faces, those with equal materials in one."""
-    groups: list[DrawGroup] = []
+    ranges: list[MaterialRange] = []
     for draw in mesh.draws:
-        material = materials[draw.material] if 0 <= draw.material < len(materials) else MaterialData()
-        anonymous = MaterialData(**{**material.__dict__, "name": ""})
-        if groups and groups[-1].material == anonymous and groups[-1].first + groups[-1].count == draw.first:
-            groups[-1] = DrawGroup(groups[-1].first, groups[-1].count + draw.count, anonymous)
+        is_known = 0 <= draw.material < len(channels.materials)
+        material = replace(channels.materials[draw.material] if is_known else MaterialData(), name="")
+        last = ranges[-1] if ranges else None
+        if last is not None and last.material == material and last.first + last.count == draw.first:
+            ranges[-1] = replace(last, count=last.count + draw.count)
         elif draw.count:
-            groups.append(DrawGroup(draw.first, draw.count, anonymous))
-    return tuple(groups)
-
-
-def uv_steps(uvs: NDArray[np.float32]) -> NDArray[np.uint16]:
-    """The 16-bit steps nearest to uvs, (N, 2)."""
-    return np.rint(np.clip(uvs.astype(np.float64), 0.0, 1.0) * UV_STEPS).astype(np.uint16)
-
-
-def vertex_attributes(meshes: Sequence[LodMesh]) -> tuple[tuple[str, str], ...]:
-    """What a vertex of these levels is, (format, name) each: uvs in steps where all levels' are whole ones."""
-
-    def whole(uvs: NDArray[np.float32]) -> bool:
-        return np.array_equal((uv_steps(uvs) / UV_STEPS).astype(np.float32), uvs)
-
-    return tuple(forms[all(whole(getattr(mesh, part)) for mesh in meshes)] for part, forms in UV_ATTRIBUTES.items())
-
-
-def vertex_bytes(mesh: LodMesh, attributes: tuple[tuple[str, str], ...]) -> bytes:
-    """A level's vertices: uv and canonical uv, four bytes each in steps and eight in floats."""
-    parts = [
-        uv_steps(uvs) if name in ATTRIBUTE_DEFINES else uvs
-        for uvs, (_, name) in zip((mesh.uvs, mesh.canonical_uvs), attributes, strict=True)
-    ]
-    return np.concatenate([np.ascontiguousarray(part).view(np.uint8) for part in parts], axis=1).tobytes()
-
-
-def normal_bytes(normal_uvs: NDArray[np.float32]) -> bytes:
-    """Normal uvs as whole steps, two uint16 a vertex."""
-    return uv_steps(normal_uvs).tobytes()
-
-
-def index_bytes(mesh: LodMesh, indices: NDArray[np.uint32]) -> bytes:
-    """Indices in as few bytes as the level's vertices allow."""
-    return indices.astype(np.uint16 if len(mesh.uvs) <= 0xFFFF else np.uint32).tobytes()
+            ranges.append(
+                MaterialRange(draw.first, draw.count, material, (*material_defines(material), *channels.defines))
+            )
+    return tuple(ranges)
 
 
 class Levels:
@@ -146,15 +124,15 @@ class Levels:
     ----------
     ctx : moderngl.Context
     asset : Asset
-    materials : tuple of MaterialData
-        In place of the asset's.
+    channels : MaterialChannels
+        Materials in place of the asset's.
     """
 
-    def __init__(self, ctx: moderngl.Context, asset: Asset, materials: tuple[MaterialData, ...]) -> None:
-        self.ctx, self.asset, self.materials = ctx, asset, materials
+    def __init__(self, ctx: moderngl.Context, asset: Asset, channels: MaterialChannels) -> None:
+        self.ctx, self.asset, self.channels = ctx, asset, channels
         self.lods: tuple[GpuLod, ...] = ()
         self.errors_m = self.divided_errors_m = np.zeros(0)  # as they are, and at most when tessellated
-        self._attributes = vertex_attributes(asset.lods)
+        self._attributes = uv_attributes(asset.lods)
         self._owned: list[moderngl.Buffer] = []
         self._line_buffers: dict[int, moderngl.Buffer] = {}
         self._edge_texels: dict[int, float] = {}
@@ -166,16 +144,18 @@ class Levels:
         self._owned.append(self.ctx.buffer(content))
         return self._owned[-1]
 
-    def upload(self, mesh: LodMesh) -> None:
-        """Add the next level."""
+    def upload(self, mesh: LodMesh, defines: Mapping[str, int]) -> None:
+        """Add the next level; `defines` are the preprocessor definitions of all the model's programs."""
+        attributes = self._attributes if mesh.normal_uvs is None else (*self._attributes, *NORMAL_UVS)
         lod = GpuLod(
             mesh=mesh,
-            groups=draw_groups(mesh, self.materials),
+            ranges=material_ranges(mesh, self.channels),
             vertices=self._keep(vertex_bytes(mesh, self._attributes)),
             indices=self._keep(index_bytes(mesh, mesh.triangles)),
-            index_size=2 if len(mesh.uvs) <= 0xFFFF else 4,
-            normal_uvs=None if mesh.normal_uvs is None else self._keep(normal_bytes(mesh.normal_uvs)),
+            index_size=index_size(mesh),
+            normal_uvs=None if mesh.normal_uvs is None else self._keep(uv_steps(mesh.normal_uvs).tobytes()),
             attributes=self._attributes,
+            program_defines=tuple({**defines, **step_defines(attributes)}.items()),
         )
         self.lods = (*self.lods, lod)
         self.errors_m = np.array([lod.mesh.error_m for lod in self.lods])
@@ -207,7 +187,7 @@ class Levels:
         return self._line_buffers[level]
 
     def instance_buffer(self, key: Any, instances: NDArray[Any]) -> moderngl.Buffer:
-        """A buffer that holds these instances (`INSTANCE` records), one buffer a key."""
+        """A buffer that holds these instances (`ACTOR_INSTANCE` records), one buffer per key."""
         buffer = self._instances.get(key)
         if buffer is None or buffer.size < instances.nbytes:
             capacity = instances.nbytes if buffer is None else max(instances.nbytes, 2 * buffer.size)
@@ -220,26 +200,25 @@ class Levels:
         return buffer
 
     def vertex_array(
-        self, program_key: Any, group: Any, program: moderngl.Program, level: int, kind: str
+        self, program_key: Any, batch: Any, program: moderngl.Program, level: int, kind: str
     ) -> moderngl.VertexArray:
         """The vertex array of a level for a program: `kind` is "triangles", "patches" or "seams"."""
-        key = (program_key, group, level, kind)
+        key = (program_key, batch, level, kind)
         if key not in self._vertex_arrays:
             lod = self.lods[level]
-            indices = {
-                "triangles": lambda: lod.indices,
-                "patches": lambda: self.patches(level),
-                "seams": lambda: self.seam_lines(level),
-            }
+            if kind == "triangles":
+                indices: moderngl.Buffer | None = lod.indices
+            else:
+                indices = self.patches(level) if kind == "patches" else self.seam_lines(level)
             content = [
-                layout(program, lod.vertices, lod.attributes),
-                layout(program, lod.normal_uvs, NORMAL_ATTRIBUTES) if lod.normal_uvs is not None else None,
-                instance_layout(program, self._instances[group]),
+                bind_buffer(program, lod.vertices, lod.attributes),
+                bind_buffer(program, lod.normal_uvs, NORMAL_UVS) if lod.normal_uvs is not None else None,
+                bind_buffer(program, self._instances[batch], ACTOR_ATTRIBUTES, per_instance=True),
             ]
             self._vertex_arrays[key] = self.ctx.vertex_array(
                 program,
                 [entry for entry in content if entry is not None],
-                indices[kind](),
+                indices,
                 index_element_size=lod.index_size,
             )
         return self._vertex_arrays[key]
@@ -248,9 +227,9 @@ class Levels:
         for key in [key for key in self._vertex_arrays if which(key)]:
             self._vertex_arrays.pop(key).release()
 
-    def forget_programs(self, owner: Any) -> None:
+    def forget_programs(self, renderer: Any) -> None:
         """Free what was made for a renderer's programs."""
-        self._drop_vertex_arrays(lambda key: key[0][0] == owner)
+        self._drop_vertex_arrays(lambda key: key[0][0] == renderer)
 
     def release(self) -> None:
         """Free all buffers and vertex arrays."""
@@ -259,27 +238,3 @@ class Levels:
             thing.release()
         self._owned.clear()
         self._instances.clear()
-
-
-def instance_layout(program: moderngl.Program, buffer: moderngl.Buffer) -> tuple[Any, ...] | None:
-    """moderngl's description of a buffer of `INSTANCE` records for a program."""
-    return layout(program, buffer, INSTANCE_ATTRIBUTES, per_instance=True)
-
-
-def layout(
-    program: moderngl.Program,
-    buffer: moderngl.Buffer,
-    attributes: tuple[tuple[str, str], ...],
-    per_instance: bool = False,
-) -> tuple[Any, ...] | None:
-    """moderngl's description of a buffer, with gaps where the program does not use an attribute."""
-    formats, names = [], []
-    for form, name in attributes:
-        if name in program:
-            formats.append(form)
-            names.append(name)
-        else:
-            formats.append(f"{int(form[0]) * int(form[-1])}x")
-    if not names:
-        return None
-    return (buffer, " ".join(formats) + (" /i" if per_instance else ""), *names)

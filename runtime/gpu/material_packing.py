@@ -52,7 +52,7 @@ def _with_alpha(levels: Levels, alphas: Levels, channel: int) -> Levels:
     for level, alpha in zip(levels, alphas):
         whole = np.empty((*level.shape[:2], 4), level.dtype)
         whole[:, :, :3] = level[:, :, :3]
-        whole[:, :, 3] = alpha[:, :, channel] * level.dtype.type(257 if level.dtype == np.uint16 else 1)
+        whole[:, :, 3] = alpha[:, :, channel] * level.dtype.type(np.iinfo(level.dtype).max // 255)  # as fine
         joined.append(whole)
     return tuple(joined)
 

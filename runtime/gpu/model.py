@@ -6,13 +6,14 @@ Everything is uploaded in `Model(ctx, asset)` and freed in `release()`. The call
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import count
 from typing import TYPE_CHECKING, Any
 
 import moderngl
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from runtime.animation.bounds import JointBoxes, stored_joint_boxes
+from runtime.animation.mixer import Mixer
 from runtime.asset.asset import Asset
 from runtime.errors import NotCopied, RenderError
 from runtime.gpu.context import can_free, is_gone, require_current
@@ -28,13 +29,12 @@ from runtime.gpu.textures import (
     prepare,
     texture_bytes,
 )
-from runtime.validation import shown
+from runtime.validation import describe
 
 if TYPE_CHECKING:
     from runtime.animation.clip import Clip
     from runtime.scene.actor import Actor
 
-_NUMBERS = count()  # a model's, never given twice
 _WHITE = np.full((1, 1, 4), 255, np.uint8)
 
 
@@ -46,7 +46,7 @@ def require_alive(ctx: moderngl.Context, what: str) -> None:
     RenderError
     """
     if not isinstance(ctx, moderngl.Context):
-        raise RenderError(f"a {what} needs a moderngl context, not {shown(ctx)}")
+        raise RenderError(f"a {what} needs a moderngl context, not {describe(ctx)}")
     if is_gone(ctx):
         raise RenderError(f"the OpenGL context of this {what} was released: make a new one")
     require_current(ctx, what)
@@ -81,8 +81,6 @@ class Model(NotCopied):
         position_format: str = "auto",
         in_slices: bool = False,
     ) -> None:
-        from runtime.animation.mixer import Mixer
-
         require_alive(ctx, "model")
         require_version(ctx)
         if not isinstance(asset, Asset | Prepared):
@@ -91,16 +89,15 @@ class Model(NotCopied):
         asset = prepared.asset
         self.ctx = ctx
         self.asset = asset
-        self.number = next(_NUMBERS)
-        self.define_names: dict[tuple[int, int], tuple[str, ...]] = {}  # by level and material
         self.mixer = Mixer(asset.skeleton, asset.clips)
+        self.joint_boxes = JointBoxes(stored_joint_boxes(asset.joint_bounds, asset.manifest.bind_bounds))
         self.has_patches = ctx.version_code >= TESSELLATION_VERSION_CODE
         self._released = False
         self._owned: list[Any] = []
         self._joint_texture: moderngl.Texture | None = None
         self.textures: dict[str, moderngl.Texture] = {}
         self.channels = prepared.channels
-        self.levels = Levels(ctx, asset, self.channels.materials)
+        self.levels = Levels(ctx, asset, self.channels)
         self._check_limits()
         self._uploads: Iterator[None] | None = self._upload_all(prepared)
         while not in_slices and self.upload_slice():
@@ -176,7 +173,7 @@ class Model(NotCopied):
             self.constants["position_shifts"] = tuple(map(int, positions.shifts))
             self.constants["position_masks"] = tuple(map(int, positions.masks))
         for mesh in asset.lods:
-            self.levels.upload(mesh)
+            self.levels.upload(mesh, self.shader_defines)
             yield
 
     @property

@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     import moderngl
 
 MAX_INCLUDE_DEPTH = 16
-LINES_A_FILE = 10_000
+LINES_PER_FILE = 10_000
 MIN_VERSION_CODE = 330
 TESSELLATION_VERSION_CODE = 410
 STAGES = {
@@ -51,17 +52,24 @@ class ShaderSource:
         """A driver's message with file numbers replaced by names."""
 
         def name(match: re.Match[str]) -> str:
-            number, line = divmod(int(match[4]), LINES_A_FILE)
+            number, line = divmod(int(match[4]), LINES_PER_FILE)
             shown = self.files[number] if number < len(self.files) else match[2]
             return f"{match[1]}{shown}{match[3]}{line}"
 
         return _MESSAGE_PLACE.sub(name, message)
 
 
+@lru_cache(maxsize=1)
+def _shader_folder() -> Traversable:
+    """Our GLSL files: inside the package where it was installed, beside it in a checkout."""
+    inside = resources.files("runtime").joinpath("shaders")
+    return inside if inside.is_dir() else Path(__file__).resolve().parents[2] / "shaders"
+
+
 @lru_cache(maxsize=128)
 def _read_own(name: str) -> str | None:
     """Text of a file in shaders/, None where there is none."""
-    entry = resources.files("shaders").joinpath(name)
+    entry = _shader_folder().joinpath(name)
     return entry.read_text(encoding="utf-8") if entry.is_file() else None
 
 
@@ -84,7 +92,7 @@ def _expand(name: str, text: str, files: list[str], depth: int, folder: Path | N
     if name not in files:
         files.append(name)
     number = files.index(name)
-    start = number * LINES_A_FILE
+    start = number * LINES_PER_FILE
     lines = [f"#line {start + 1} {number}"]
     for line_number, line in enumerate(text.splitlines(), start=1):
         match = _INCLUDE.match(line)

@@ -18,11 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.asset.weight_quadtree import WeightDetails, build_quadtree, no_details
+from runtime.asset.weight_stack import unpack_pairs
 
 RECORDS_WIDTH = 64  # records lie in rows of this many (shaders/include/skinning.glsl: RECORDS_WIDTH_LOG2)
 MORE_RECORDS = 255  # in place of a record's fourth joint: the next record belongs to the cell too
 NARROW_JOINTS = 255  # up to so many joints are numbered by bytes inside the records
-JOINTS_A_RECORD = 3  # with weights of their own
+JOINTS_PER_RECORD = 3  # with weights of their own
 
 
 @dataclass(frozen=True)
@@ -56,17 +57,6 @@ class WeightCells:
         return self.first_record.nbytes + self.records.nbytes + (0 if self.joints is None else self.joints.nbytes)
 
 
-def split_stack(stack: NDArray[Any], size: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Joints and weights (0 to 255) a texel from the stored stack, each (H, W, K) int64."""
-    width, height = size
-    images = stack.reshape(-1, 2, height, width, 4).astype(np.int64)
-    joints = np.concatenate(list(images[:, 0]), axis=-1)
-    weights = np.concatenate(list(images[:, 1]), axis=-1)
-    if stack.dtype == np.uint16:
-        weights = (weights + 128) // 257
-    return joints, weights
-
-
 def _unique_rows(rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Distinct rows of small non-negative numbers, and which one each row is."""
     keys = np.zeros(len(rows), np.int64)
@@ -82,7 +72,7 @@ def _cell_corners(
     stack: NDArray[Any], size: tuple[int, int], details: WeightDetails
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Distinct texels (joints, then weights) of map and leaves, and which four each cell, then each leaf, blends."""
-    joints, weights = split_stack(stack, size)
+    joints, weights = unpack_pairs(stack, size)
     height, width, slots = joints.shape
     most = max(slots, details.joints.shape[-1])
     texels = np.zeros((height * width + 4 * len(details.depths), 2 * most), np.int64)
@@ -119,7 +109,7 @@ def _write_records(cells: NDArray[np.int64], kinds: NDArray[np.int64]) -> _Palet
     is_new &= sorted_joints < unused
     slot = np.cumsum(is_new, axis=1) - 1
     palette_size = is_new.sum(axis=1)
-    num_records = np.maximum(-(-(palette_size - 1) // JOINTS_A_RECORD), 1)
+    num_records = np.maximum(-(-(palette_size - 1) // JOINTS_PER_RECORD), 1)
     starts = np.concatenate([[0], np.cumsum(num_records)])
     total = int(starts[-1])
 
@@ -127,8 +117,8 @@ def _write_records(cells: NDArray[np.int64], kinds: NDArray[np.int64]) -> _Palet
     packed = np.zeros((total, 4, 4), np.uint8)  # record, word, texel; word 0 is for the joints
     cell_rows = np.broadcast_to(np.arange(len(cells))[:, None], order.shape)
     is_last = slot == (palette_size - 1)[:, None]  # the joint that gets what the others leave
-    record = starts[cell_rows] + np.where(is_last, num_records[:, None] - 1, slot // JOINTS_A_RECORD)
-    place = np.where(is_last, 3, slot % JOINTS_A_RECORD)
+    record = starts[cell_rows] + np.where(is_last, num_records[:, None] - 1, slot // JOINTS_PER_RECORD)
+    place = np.where(is_last, 3, slot % JOINTS_PER_RECORD)
     own = (sorted_joints < unused) & ~is_last
     entry_weights = np.take_along_axis(cell_weights, order, axis=1)
     packed[record[own], 1 + place[own], (order // slots)[own]] = entry_weights[own]
@@ -152,7 +142,7 @@ def build_weight_cells(
     Parameters
     ----------
     stack : (2 * N * H, W, 4) uint8 or uint16
-        As `preprocess.fit.weight_stack` packs it.
+        As `runtime.asset.weight_stack` packs it.
     size : (W, H)
     num_joints : int
     details : WeightDetails, optional

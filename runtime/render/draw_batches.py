@@ -16,12 +16,23 @@ from numpy.typing import NDArray
 
 from runtime.errors import RenderError
 from runtime.gpu.model import Model
+from runtime.gpu.vertex_layout import ACTOR_INSTANCE
 from runtime.scene.actor_batch import ActorBatch
 from runtime.scene.camera import CameraMatrices
-from runtime.scene.lod_selection import Quality, around_eye, choose_levels, measure
+from runtime.scene.lod_selection import (
+    Quality,
+    around_eye,
+    carry_boxes,
+    carry_parts,
+    choose_levels,
+    largest_stretch,
+    measure,
+)
 
 if TYPE_CHECKING:
     from runtime.scene.actor import Actor
+
+Floats = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)
@@ -39,45 +50,41 @@ def _drawn_actor(level: int, tessellated: bool) -> DrawnActor:
 
 
 @dataclass(frozen=True)
-class Group:
+class DrawBatch:
     """Actors of one model that are drawn with one call: the same level, tessellated or not, mirrored or not.
 
     Attributes
     ----------
     model : Model
-    key : (int, bool, bool)
-        Level, tessellated, mirrored: what tells the groups of one model apart.
-    records : (A, 18) float32, the words of `INSTANCE`
+    level : int
+        Level of detail.
+    tessellated : bool
+        Whether faces are divided.
+    mirrored : bool
+        Whether transforms turn faces inside out.
+    instances : (A,) ACTOR_INSTANCE
     """
 
     model: Model
-    key: tuple[int, bool, bool]
-    records: NDArray[Any]
+    level: int
+    tessellated: bool
+    mirrored: bool
+    instances: NDArray[Any]
 
     @property
-    def level(self) -> int:
-        """Level of detail."""
-        return self.key[0]
-
-    @property
-    def tessellated(self) -> bool:
-        """Whether faces are divided."""
-        return self.key[1]
-
-    @property
-    def mirrored(self) -> bool:
-        """Whether transforms turn faces inside out."""
-        return self.key[2]
+    def key(self) -> tuple[int, bool, bool]:
+        """What tells the batches of one model apart."""
+        return self.level, self.tessellated, self.mirrored
 
 
 @dataclass(frozen=True)
-class Wish:
+class LodRequest:
     """How a picture is to be drawn, as far as levels go.
 
     Attributes
     ----------
     size_px : width and height of the picture
-    lod : int or None
+    level : int or None
         One level for all, None to choose.
     tessellation : "auto", "off" or number
     has_tessellation : bool
@@ -86,7 +93,7 @@ class Wish:
     """
 
     size_px: tuple[int, int]
-    lod: int | None
+    level: int | None
     tessellation: float | str
     has_tessellation: bool
     quality: Quality
@@ -112,58 +119,72 @@ def _is_mirrored(row: Sequence[float]) -> bool:
     return a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0.0
 
 
-def place(
-    model: Model, batch: ActorBatch, matrices: CameraMatrices, wish: Wish, levels_before: MutableMapping[Actor, int]
-) -> tuple[list[Group], dict[Actor, DrawnActor]]:
+def _choose(
+    model: Model, size_px_per_m: Floats, request: LodRequest, before: NDArray[np.int64]
+) -> tuple[list[int], list[bool]]:
+    """Level of each actor, and whether it is tessellated."""
+    count, quality = len(before), request.quality
+    is_auto = request.tessellation == "auto" and request.has_tessellation
+    if request.level is not None:
+        errors, over = model.levels.errors_m[request.level], [not isinstance(request.tessellation, str)] * count
+        if is_auto and request.level:
+            over = (np.minimum(size_px_per_m, 1e300) * errors > quality.threshold_px).tolist()
+        return [request.level] * count, over
+    divides = is_auto and quality.prefer == "tessellation"
+    errors = model.levels.divided_errors_m if divides else model.levels.errors_m
+    levels = choose_levels(errors, size_px_per_m, quality.threshold_px, before)
+    return levels.tolist(), (levels > 0).tolist() if divides else [not isinstance(request.tessellation, str)] * count
+
+
+def make_draw_batches(
+    model: Model,
+    batch: ActorBatch,
+    camera: CameraMatrices,
+    request: LodRequest,
+    levels_before: MutableMapping[Actor, int],
+) -> tuple[list[DrawBatch], dict[Actor, DrawnActor]]:
     """Choose a level for each actor in view, and fill the instance records of those drawn together.
 
     Parameters
     ----------
     model : Model
     batch : ActorBatch
-    matrices : CameraMatrices
-    wish : Wish
+    camera : CameraMatrices
+    request : LodRequest
     levels_before : mapping of actors to the level chosen last time
         Brought up to date. A level that was asked for says nothing about the next choice and is not noted.
 
     Returns
     -------
-    groups to draw, and what was decided for each actor
+    draw batches, and what was decided for each actor
     """
     refuse_broken_poses(model, batch)
-    transforms = around_eye(matrices.eye, batch.transforms)
-    seen, scale_px = measure(batch.parts, transforms, matrices, wish.size_px)
-    is_auto = wish.tessellation == "auto" and wish.has_tessellation
-    divides = is_auto and wish.lod is None and wish.quality.prefer == "tessellation"
-    errors = model.levels.divided_errors_m if divides else model.levels.errors_m
+    rows = around_eye(camera.eye, batch.transforms)
+    low, high = batch.bounds.transpose(1, 2, 0)
+    boxes, stretch = carry_boxes(low, high, rows.transpose(1, 2, 0)), largest_stretch(rows[:, :, :3])
+    seen, scale_px = measure(
+        boxes, stretch, camera, request.size_px, lambda near: carry_parts(batch.parts[near], rows[near])
+    )
     before = [levels_before.get(actor, -1) for actor in batch.actors]
-    tessellated = [not isinstance(wish.tessellation, str)] * len(before)
-    if wish.lod is None:
-        chosen = choose_levels(errors, scale_px, wish.quality.threshold_px, np.array(before))
-        levels = chosen.tolist()
-        if divides:
-            tessellated = (chosen > 0).tolist()
-    else:
-        levels = [wish.lod] * len(before)
-        if is_auto and wish.lod:
-            tessellated = (np.minimum(scale_px, 1e300) * errors[wish.lod] > wish.quality.threshold_px).tolist()
+    levels, tessellated = _choose(model, scale_px, request, np.array(before))
     drawn: dict[Actor, DrawnActor] = {}
     members: dict[tuple[int, bool, bool], list[int]] = {}
-    rows = transforms.reshape(-1, 16)[:, :12]
-    together = zip(batch.actors, seen.tolist(), levels, tessellated, rows.tolist(), before)
+    together = zip(batch.actors, seen.tolist(), levels, tessellated, rows.reshape(-1, 12).tolist(), before)
     for index, (actor, is_seen, level, divided, row, level_before) in enumerate(together):
         drawn[actor] = _drawn_actor(level if is_seen else -1, divided)
         if not is_seen:
             continue
         members.setdefault((level, divided, _is_mirrored(row)), []).append(index)
-        if wish.lod is None and level != level_before:
+        if request.level is None and level != level_before:
             levels_before[actor] = level
     if not members:
         return [], drawn
-    numbers = np.array([*enumerate(levels)], np.int32).view(np.float32)
-    records = np.concatenate((rows, batch.tints, numbers), axis=1, dtype=np.float32)
-    groups = [
-        Group(model, key, records if len(indices) == len(records) else records[indices])
+    records = np.empty(len(rows), ACTOR_INSTANCE)
+    records["rows"], records["tint"] = rows, batch.tints
+    records["pose"], records["level"] = np.arange(len(rows)), levels
+    whole = len(records)
+    batches = [
+        DrawBatch(model, *key, records if len(indices) == whole else records[indices])
         for key, indices in sorted(members.items())
     ]
-    return groups, drawn
+    return batches, drawn

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Iterable, Mapping
-from numbers import Integral
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import moderngl
 import numpy as np
@@ -25,24 +24,17 @@ from runtime.gpu.gl_state import saved_state
 from runtime.gpu.model import Model, require_alive
 from runtime.gpu.programs import TESSELLATION_VERSION_CODE, require_version
 from runtime.gpu.textures import NUM_TEXTURE_UNITS
-from runtime.render.draw_batches import DrawnActor, Group, Wish, place
-from runtime.render.passes import Look, Passes
-from runtime.render.views import VIEWS, CrowdFrame, DrawsItself, View
+from runtime.render.draw_batches import DrawBatch, DrawnActor, LodRequest, make_draw_batches
+from runtime.render.passes import DrawSettings, Passes
+from runtime.render.views import VIEWS, Drawable, Frame, View
+from runtime.scene.actor import Actor
 from runtime.scene.actor_batch import ActorBatch, gather
-from runtime.scene.camera import Camera, MatrixCamera
+from runtime.scene.camera import Camera, CameraLike, CameraMatrices, MatrixCamera
 from runtime.scene.lighting import Lighting
 from runtime.scene.lod_selection import Quality
-from runtime.validation import is_number, shown
-
-if TYPE_CHECKING:
-    from runtime.scene.actor import Actor
+from runtime.validation import describe, is_integer, is_number
 
 SKINNING: dict[str, dict[str, str | int]] = {"linear": {}, "dual_quaternion": {"DUAL_QUATERNIONS": 1}}
-
-
-def is_whole(number: object) -> bool:
-    """Whether it is an integer, NumPy's too, and no truth value."""
-    return isinstance(number, Integral) and not isinstance(number, bool)
 
 
 T = TypeVar("T")
@@ -51,7 +43,7 @@ T = TypeVar("T")
 def checked(value: T, kind: type[T], what: str) -> T:
     """A value of a kind, or a RenderError that names it."""
     if not isinstance(value, kind):
-        raise RenderError(f"a renderer's {what} is a runtime.{kind.__name__}, not {shown(value)}")
+        raise RenderError(f"a renderer's {what} is a runtime.{kind.__name__}, not {describe(value)}")
     return value
 
 
@@ -149,7 +141,9 @@ class Renderer(NotCopied):
             If the file is missing, or the name is one of the built-in views.
         """
         if not isinstance(name, str) or not isinstance(fragment, str | Path):
-            raise RenderError(f"a view is a name and a shader's text or Path, not {shown(name)} and {shown(fragment)}")
+            raise RenderError(
+                f"a view is a name and a shader's text or Path, not {describe(name)} and {describe(fragment)}"
+            )
         if name in VIEWS:
             raise RenderError(f"the view {name!r} is built in: choose another name")
         folder = None
@@ -164,9 +158,34 @@ class Renderer(NotCopied):
 
     # Drawing
 
+    def clear(
+        self, red: float = 0.0, green: float = 0.0, blue: float = 0.0, alpha: float = 1.0, *, depth: float = 1.0
+    ) -> None:
+        """Fill the bound framebuffer, into which `draw` draws.
+
+        The one that is bound in OpenGL: moderngl's own `clear` fills, and binds, the last that moderngl itself was told
+        of, which is another where a toolkit (Qt) binds a widget's, and leaves alpha 0 unless told otherwise.
+
+        Parameters
+        ----------
+        red, green, blue, alpha : float, 0 to 1
+        depth : float
+            0 near, 1 far.
+
+        Raises
+        ------
+        RenderError
+            If the renderer was released, or something is no number.
+        """
+        self._require_usable()
+        if not all(is_number(value) for value in (red, green, blue, alpha, depth)):
+            raise RenderError(f"a framebuffer is cleared to numbers, not {describe((red, green, blue, alpha, depth))}")
+        with self._state:
+            gl_state.clear_bound((red, green, blue, alpha), depth)
+
     def draw(
         self,
-        actors: Iterable[Actor | DrawsItself] | Actor | DrawsItself,
+        actors: Iterable[Actor | Drawable] | Actor | Drawable,
         camera: Camera | MatrixCamera,
         *,
         view: str = "lit",
@@ -201,71 +220,81 @@ class Renderer(NotCopied):
             If an actor's transform is not finite.
         """
         self._require_usable()
-        if not isinstance(view, str) or view not in self._views:
-            raise RenderError(f"no view {shown(view)}: one of {', '.join(self._views)}")
-        if not hasattr(camera, "matrices"):
-            raise RenderError(f"pictures need a Camera or a MatrixCamera, not {shown(camera)}")
-        if lod != "auto" and not is_whole(lod):
-            raise RenderError(f"no level of detail {shown(lod)}: auto, or a number from 0, the finest")
-        if uniforms is not None and not isinstance(uniforms, Mapping):
-            raise RenderError(f"uniforms must be a mapping of names to values, not {shown(uniforms)}")
+        self._check_arguments(camera, view, lod, uniforms)
         factor = self._checked_tessellation(tessellation)
-        things = self._listed(actors)
-        crowds: list[DrawsItself] = []
-        singles: list[Actor] = []
-        for thing in things:
-            (crowds if hasattr(thing, "draw_in") else singles).append(thing)
-        batches = gather(singles)
-        for model, _ in batches:
-            self._check_model(model, lod)
-        look = Look(view, self._views[view], dict(uniforms or {}), factor, self.quality.texels_a_segment)
+        crowds, batches = self._sorted(actors, lod)
+        settings = DrawSettings(view, self._views[view], dict(uniforms or {}), factor, self.quality.texels_per_segment)
+        level = None if isinstance(lod, str) else int(lod)
         with self._state as gl:
             _, _, width, height = gl.integers(gl_state.VIEWPORT, 4)
             if not width or not height:
                 return
-            matrices = camera.matrices(width, height)
-            self._frame.write(matrices, (width, height), self._lighting, self.quality, factor)
+            size_px = width, height
+            matrices = camera.matrices(*size_px)
+            self._frame.write(matrices, size_px, self._lighting, self.quality, factor)
             self._frame.bind()
-            chosen = None if isinstance(lod, str) else int(lod)
-            wish = Wish((width, height), chosen, tessellation, self.has_tessellation, self.quality)
-            groups: list[Group] = []
-            self.last_drawn = {}
-            for model, batch in batches:
-                placed, drawn = place(model, batch, matrices, wish, self._levels)
-                self.last_drawn |= drawn
-                groups += placed
-                if placed:
-                    self._write_poses(model, batch)
-            self._passes.draw(gl, groups, look)
+            request = LodRequest(size_px, level, tessellation, self.has_tessellation, self.quality)
+            self._passes.draw(gl, self._draw_batches(batches, matrices, request), settings)
             for crowd in crowds:
-                if crowd.ctx is not self.ctx:
-                    raise RenderError("a crowd belongs to another context than the renderer")
                 crowd.draw_in(
-                    CrowdFrame(
+                    Frame(
                         gl=gl,
                         camera=matrices,
-                        width_px=width,
-                        height_px=height,
+                        size_px=size_px,
                         threshold_px=self.quality.threshold_px,
-                        level=chosen,
+                        level=level,
                         view_name=view,
-                        view=look.view,
-                        uniforms=look.uniforms,
+                        view=settings.view,
+                        uniforms=settings.uniforms,
                         defines=self._defines,
                     )
                 )
 
-    @staticmethod
-    def _listed(actors: Any) -> tuple[Any, ...]:
-        """What is to be drawn, one by one."""
-        if isinstance(actors, list | tuple):
-            things = tuple(actors)
-        else:
-            things = (actors,) if hasattr(actors, "visible") or not isinstance(actors, Iterable) else tuple(actors)
+    def _check_arguments(self, camera: Any, view: Any, lod: Any, uniforms: Any) -> None:
+        if not isinstance(view, str) or view not in self._views:
+            raise RenderError(f"no view {describe(view)}: one of {', '.join(self._views)}")
+        if not isinstance(camera, CameraLike):
+            raise RenderError(f"pictures need a Camera or a MatrixCamera, not {describe(camera)}")
+        if lod != "auto" and not is_integer(lod):
+            raise RenderError(f"no level of detail {describe(lod)}: auto, or a number from 0, the finest")
+        if uniforms is not None and not isinstance(uniforms, Mapping):
+            raise RenderError(f"uniforms must be a mapping of names to values, not {describe(uniforms)}")
+
+    def _sorted(self, things: Any, lod: int | str) -> tuple[list[Drawable], list[tuple[Model, ActorBatch]]]:
+        """What draws itself, and the actors of each model posed together."""
+        if not isinstance(things, list | tuple):
+            is_one = isinstance(things, Actor | Drawable) or not isinstance(things, Iterable)
+            things = (things,) if is_one else tuple(things)
+        crowds: list[Drawable] = []
+        singles: list[Actor] = []
         for thing in things:
-            if not hasattr(thing, "visible"):
-                raise RenderError(f"only actors and crowds can be drawn, not {shown(thing)}")
-        return things
+            if isinstance(thing, Actor):
+                singles.append(thing)
+            elif isinstance(thing, Drawable):
+                crowds.append(thing)
+            else:
+                raise RenderError(f"only actors and crowds can be drawn, not {describe(thing)}")
+        for crowd in crowds:
+            if crowd.ctx is not self.ctx:
+                raise RenderError("a crowd belongs to another context than the renderer")
+        batches = gather(singles)
+        for model, _ in batches:
+            self._check_model(model, lod)
+        return crowds, batches
+
+    def _draw_batches(
+        self, batches: Iterable[tuple[Model, ActorBatch]], camera: CameraMatrices, request: LodRequest
+    ) -> list[DrawBatch]:
+        """All models' draw batches, their poses uploaded; what was decided is noted in `last_drawn`."""
+        made: list[DrawBatch] = []
+        self.last_drawn = {}
+        for model, batch in batches:
+            own, drawn = make_draw_batches(model, batch, camera, request, self._levels)
+            self.last_drawn |= drawn
+            made += own
+            if own:
+                self._write_poses(model, batch)
+        return made
 
     def _write_poses(self, model: Model, batch: ActorBatch) -> None:
         is_dual = self.skinning == "dual_quaternion"
@@ -292,7 +321,7 @@ class Renderer(NotCopied):
         if model.ctx is not self.ctx:
             raise RenderError(f"the model {model.asset.name} belongs to another context than the renderer")
         model.require_uploaded()
-        if lod != "auto" and not (is_whole(lod) and 0 <= int(lod) < len(model.lods)):
+        if lod != "auto" and not (is_integer(lod) and 0 <= int(lod) < len(model.lods)):
             raise RenderError(f"{model.asset.name} has no level of detail {lod!r}: auto or 0 to {len(model.lods) - 1}")
 
     def release(self) -> None:

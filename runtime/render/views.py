@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import moderngl
@@ -52,15 +53,15 @@ class View:
 
 
 @dataclass(frozen=True)
-class CrowdFrame:
-    """What a renderer tells a crowd about the picture being drawn.
+class Frame:
+    """What a renderer tells a thing that draws itself about the picture being drawn.
 
     Attributes
     ----------
     gl : Functions
         The state is saved already; drawing may change it.
     camera : CameraMatrices
-    width_px, height_px : int
+    size_px : width and height of the picture
     threshold_px : float
         Largest error on the screen that a level of detail may have.
     level : int or None
@@ -74,8 +75,7 @@ class CrowdFrame:
 
     gl: Functions
     camera: CameraMatrices
-    width_px: int
-    height_px: int
+    size_px: tuple[int, int]
     threshold_px: float
     level: int | None
     view_name: str
@@ -84,12 +84,14 @@ class CrowdFrame:
     defines: Mapping[str, str | int]
 
 
-class DrawsItself(Protocol):
+class Drawable(ABC):
     """What a renderer can draw besides actors: a crowd."""
 
     ctx: moderngl.Context
+    visible: bool
 
-    def draw_in(self, frame: CrowdFrame) -> None:
+    @abstractmethod
+    def draw_in(self, frame: Frame) -> None:
         """Draw into the picture."""
 
 

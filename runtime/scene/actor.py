@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any, Protocol
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +16,7 @@ from runtime.animation.bounds import JointBoxes
 from runtime.animation.clip import Clip
 from runtime.animation.mixer import Mixer
 from runtime.errors import NotCopied
-from runtime.validation import numbers, shown
+from runtime.validation import describe, numbers
 
 Floats = NDArray[np.floating[Any]]
 
@@ -26,10 +25,7 @@ class ModelLike(Protocol):
     """What an actor needs of its model."""
 
     mixer: Mixer
-
-    @property
-    def asset(self) -> Any:
-        """The loaded character, a `runtime.asset.asset.Asset`."""
+    joint_boxes: JointBoxes
 
 
 class HasTransform(Protocol):
@@ -42,7 +38,7 @@ def _matrix(value: ArrayLike, what: str) -> NDArray[np.float64]:
     """A finite 4×4 matrix, copied; ValueError that names it for anything else."""
     matrix = numbers(value, f"the entries of {what}, a finite 4×4 matrix,")
     if matrix.shape != (4, 4):
-        raise ValueError(f"{what} must be a 4×4 matrix, not of shape {matrix.shape}: {shown(value)}")
+        raise ValueError(f"{what} must be a 4×4 matrix, not of shape {matrix.shape}: {describe(value)}")
     return matrix
 
 
@@ -93,7 +89,7 @@ class Actor(NotCopied):
             if transform is not None:
                 self.transform = transform
             if root_motion not in (False, True, "turn"):
-                raise ValueError(f"root_motion {shown(root_motion)} is unknown: use False, True or 'turn'")
+                raise ValueError(f"root_motion {describe(root_motion)} is unknown: use False, True or 'turn'")
             if root_motion:
                 self._mixer.moves_root(self._row, True, turns=root_motion == "turn")
             if clip is not None:
@@ -129,7 +125,7 @@ class Actor(NotCopied):
     def tint(self, value: ArrayLike) -> None:
         color = numbers(value, "a tint").astype(np.float32)
         if color.shape not in ((3,), (4,)):
-            raise ValueError(f"a tint is three or four finite numbers, not {shown(value)}")
+            raise ValueError(f"a tint is three or four finite numbers, not {describe(value)}")
         self._tint = np.append(color, np.float32(1)) if len(color) == 3 else color
 
     # Animation
@@ -276,7 +272,7 @@ class Actor(NotCopied):
         node = self._mixer.skeleton.node(joint)
         place = np.eye(4) if offset is None else _matrix(offset, "an offset")
         if not hasattr(thing, "transform"):
-            raise ValueError(f"only what has a transform can be attached, not {shown(thing)}")
+            raise ValueError(f"only what has a transform can be attached, not {describe(thing)}")
         if thing is self or (isinstance(thing, Actor) and thing._carries(self)):
             raise ValueError("an actor cannot hang on itself, not by way of others either: detach one of them first")
         _ = self.row
@@ -308,7 +304,7 @@ class Actor(NotCopied):
     @property
     def bounds(self) -> Floats:
         """Box that holds the current pose, (2, 3) float32, object space, metres."""
-        result: Floats = carrier_of(self.model).around(self._mixer.joint_rows(self.row))[0]
+        result: Floats = self.model.joint_boxes.around(self._mixer.joint_rows(self.row))[0]
         return result
 
     def release(self) -> None:
@@ -322,27 +318,3 @@ class Actor(NotCopied):
         """An actor that nobody holds any more leaves the stage by itself."""
         if getattr(self, "_row", None) is not None:
             self.release()
-
-
-def joint_boxes_of(model: ModelLike) -> NDArray[np.float64]:
-    """Joint boxes of a model's character, (J, 2, 3); infinite where a joint moves nothing.
-
-    A character whose manifest has none gets its whole box for every joint: safe, and looser.
-    """
-    manifest = model.asset.manifest
-    nothing = np.array([[np.inf] * 3, [-np.inf] * 3])
-    if all(box is None for box in manifest.joint_bounds):
-        nothing = np.asarray(manifest.bind_bounds, dtype=np.float64)
-    boxes = [nothing if box is None else np.asarray(box, dtype=np.float64) for box in manifest.joint_bounds]
-    return np.array(boxes, dtype=np.float64).reshape(-1, 2, 3)
-
-
-def carrier_of(model: ModelLike) -> JointBoxes:
-    """A model's joint boxes, ready to be carried by poses (made once a model)."""
-    carrier = _CARRIERS.get(model.mixer)
-    if carrier is None:
-        carrier = _CARRIERS[model.mixer] = JointBoxes(joint_boxes_of(model))
-    return carrier
-
-
-_CARRIERS: WeakKeyDictionary[Mixer, JointBoxes] = WeakKeyDictionary()

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.animation.bounds import box_around
-from runtime.scene.actor import Actor, carrier_of
+from runtime.scene.actor import Actor
 
 Floats = NDArray[np.floating[Any]]
 FARTHEST = 1e12  # entries of a transform: what lies beyond is a mistake, and overflows on the GPU
@@ -85,7 +85,7 @@ def gather(actors: Iterable[Actor]) -> list[tuple[Any, ActorBatch]]:
         if not np.vdot(transforms, transforms) <= FARTHEST**2:  # one call tells of nearly all; NaN is not
             refuse_broken_transforms(listed)
         rows = model.mixer.joint_rows([actor.row for actor in group])
-        parts = carrier_of(model).carried(rows)
+        parts = model.joint_boxes.carried(rows)
         if not parts.shape[3]:
             parts = np.zeros((len(rows), 3, 4, 1), rows.dtype)
         batch = ActorBatch(

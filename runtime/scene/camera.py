@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from runtime.errors import RenderError
-from runtime.validation import is_number, numbers, shown
+from runtime.validation import describe, is_number, numbers
 
 Matrix = NDArray[np.float64]
 
@@ -24,11 +25,8 @@ FRAMING_DIRECTION = (0.42, 0.16, 1.0)  # a little from the side and above: shows
 
 Vector = tuple[float, float, float]
 Ray = tuple[NDArray[np.float64], NDArray[np.float64]]
-# `CameraMatrices.functions` out of the rows of clip space and of the view's axes.
-_FUNCTIONS = np.zeros((11, 7))
-_FUNCTIONS[:6, 3] = 1.0
-_FUNCTIONS[[0, 1, 2, 6, 8, 10], [0, 1, 2, 4, 5, 6]] = 1.0
-_FUNCTIONS[[3, 4, 5, 7, 9], [0, 1, 2, 4, 5]] = -1.0
+# `CameraMatrices.functions` out of the rows of clip space: w and x, w and y, w and z, w less each; then w, x, y alone.
+_FUNCTIONS = np.concatenate([np.c_[np.eye(3), np.ones(3)], np.c_[-np.eye(3), np.ones(3)], np.eye(4)[[3, 0, 1]]])
 
 
 def _cross(a: Vector, b: Vector) -> Vector:
@@ -66,13 +64,11 @@ class CameraMatrices:
         View to clip space, OpenGL's depth from -1 to 1.
     clip_from_world : (4, 4) float64
         World axes with the origin at the eye to clip space.
-    functions : (11, 4) float64
+    functions : (9, 4) float64
         Linear functions of a point seen from the eye, whose last factor is that of one: six that are negative beyond a
-        side of the view, then how far the point lies to the right, the left, above, below and behind, metres.
+        side of the view, then w, x and y of clip space.
     is_perspective : bool
         Whether size shrinks with distance.
-    widest_sq : float
-        Square of the tangent of the largest angle off the axis that is in the picture.
     """
 
     eye: NDArray[np.float64]
@@ -81,29 +77,49 @@ class CameraMatrices:
     clip_from_world: Matrix = field(init=False)
     functions: Matrix = field(init=False)
     is_perspective: bool = field(init=False)
-    widest_sq: float = field(init=False)
-    _focal: tuple[float, float] = field(init=False)
+    _gram: tuple[tuple[float, ...], ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        rows = np.zeros((7, 4))
-        rows[:4] = self.projection
-        rows[:4, :3] = self.projection[:, :3].dot(self.rotation)
-        rows[4:, :3] = self.rotation
-        (x, _, aside, _), (_, y, above, _), _, (_, _, shrinks, _) = self.projection.tolist()
-        widest_sq = ((1.0 + abs(aside)) / x) ** 2 + ((1.0 + abs(above)) / y) ** 2 if x and y else math.inf
+        clip = self.projection.copy()
+        clip[:, :3] = self.projection[:, :3].dot(self.rotation)
+        ways = clip[[0, 1, 3], :3]
         for name, value in (
-            ("clip_from_world", rows[:4]),
-            ("functions", _FUNCTIONS.dot(rows)),
-            ("is_perspective", shrinks != 0.0),
-            ("widest_sq", widest_sq),
-            ("_focal", (abs(x), abs(y))),
+            ("clip_from_world", clip),
+            ("functions", _FUNCTIONS.dot(clip)),
+            ("is_perspective", bool(self.projection[3, :3].any())),
+            ("_gram", tuple(map(tuple, ways.dot(ways.T).tolist()))),
         ):
             object.__setattr__(self, name, value)
 
+    def magnification(self, left: Any, right: Any, below: Any, above: Any, size_px: tuple[int, int]) -> Any:
+        """Most pixels that a metre covers at depth w = 1, anywhere in parts (A,) of the picture, -1 to 1 each way.
+
+        The square of the largest singular value of the derivatives of both pixel coordinates, (width / 2) (X - x W) and
+        (height / 2) (Y - y W), X, Y and W being the directions along which clip space's x, y and w grow.
+        """
+        (xx, xy, xw), (_, yy, yw), (_, _, ww) = self._gram
+        width, height = size_px[0] / 2, size_px[1] / 2
+        largest: Any = 0.0
+        for x in (left, right):
+            across = width * width * ((x * ww - 2 * xw) * x + xx)
+            shared = width * height * (x * ww - xw), width * height * (xy - x * yw)
+            for y in (below, above):
+                down = height * height * ((y * ww - 2 * yw) * y + yy)
+                both = shared[0] * y + shared[1]
+                half = across - down
+                largest = np.maximum(largest, across + down + np.sqrt(half * half + 4 * both * both))
+        return np.sqrt(largest / 2)
+
+    @property
+    def depth_per_metre(self) -> float:
+        """Most that a metre adds to clip space's w: one with perspective as usual, nothing without."""
+        return math.sqrt(self._gram[2][2])
+
     def focal_px(self, width: int, height: int) -> float:
         """Pixels that a metre covers at depth one, or anywhere without perspective, along the longer way."""
-        x, y = self._focal
-        return max(x * width, y * height) / 2
+        (xx, _, xw), (_, yy, yw), (_, _, ww) = self._gram
+        per_depth = 1.0 / ww if ww else 0.0  # what lies along the depth counts for a picture off centre alone
+        return max(math.sqrt(xx - xw * xw * per_depth) * width, math.sqrt(yy - yw * yw * per_depth) * height) / 2
 
 
 def _ray(camera: CameraMatrices, point_px: ArrayLike, size_px: tuple[int, int]) -> Ray:
@@ -194,7 +210,7 @@ class Camera:
         """
         eye, target, up = _vector(self.eye), _vector(self.target), _vector(self.up)
         if not is_number(self.fovy_deg) or not 0.0 < self.fovy_deg < 180.0:
-            told = shown(self.fovy_deg)
+            told = describe(self.fovy_deg)
             raise RenderError(f"the camera's field of view is {told} degrees: it must lie between 0 and 180")
         if not (self.near_m is None or is_number(self.near_m)) or not (self.far_m is None or is_number(self.far_m)):
             raise RenderError("the camera's near_m and far_m must be numbers, or None to be chosen")
@@ -258,6 +274,14 @@ class MatrixCamera:
         return CameraMatrices(-rotation.T @ view[:3, 3], rotation, projection)
 
 
+@runtime_checkable
+class CameraLike(Protocol):
+    """What pictures can be seen from."""
+
+    def matrices(self, width: int, height: int) -> CameraMatrices:
+        """View and projection for a picture of this size, pixels."""
+
+
 def perspective(fovy_deg: float, aspect: float, near_m: float, far_m: float) -> Matrix:
     """OpenGL's perspective projection, (4, 4) float64."""
     focal, depth = 1.0 / math.tan(math.radians(fovy_deg) / 2), near_m - far_m
@@ -299,7 +323,7 @@ def framing(
         raise ValueError("framing needs a box of two points and a direction that is not zero")
     if not (is_number(aspect) and aspect > 0 and is_number(fovy_deg) and 0 < fovy_deg < 180):
         raise ValueError(
-            f"framing needs an aspect above 0 and 0 to 180 degrees, not {shown(aspect)}, {shown(fovy_deg)}"
+            f"framing needs an aspect above 0 and 0 to 180 degrees, not {describe(aspect)}, {describe(fovy_deg)}"
         )
     towards = towards / np.linalg.norm(towards)
     centre = corners.mean(axis=0)
@@ -312,4 +336,4 @@ def framing(
     distance = float((needed + points @ towards).max())
     distance = max(distance, 1e-6)
     eye = centre + towards * distance
-    return Camera(tuple(eye), tuple(centre), fovy_deg=fovy_deg)  # type: ignore[arg-type]
+    return Camera(tuple(eye), tuple(centre), fovy_deg=fovy_deg)

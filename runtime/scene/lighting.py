@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from runtime.errors import RenderError
-from runtime.validation import is_number, numbers, shown
+from runtime.validation import describe, is_number, numbers
 
 NUM_LEVELS = 6  # roughness of level k is (k / 5)^2 (shaders/include/lighting.glsl)
 MAP_SIZE = 160  # a side of a half sphere's square at level 0
@@ -50,7 +50,8 @@ def _directions(rows: int, columns: int) -> tuple[NDArray[np.float64], NDArray[n
 
 def _shrink(image: NDArray[np.float64], rows: int, columns: int) -> NDArray[np.float64]:
     """Area average to a size that divides the image's."""
-    return image.reshape(rows, image.shape[0] // rows, columns, image.shape[1] // columns, 3).mean(axis=(1, 3))
+    cells = image.reshape(rows, image.shape[0] // rows, columns, image.shape[1] // columns, 3)
+    return np.asarray(cells.mean(axis=(1, 3)))
 
 
 def _resample(image: NDArray[np.float64], rows: int, columns: int) -> NDArray[np.float64]:
@@ -71,7 +72,7 @@ def _irradiance(image: NDArray[np.float64]) -> NDArray[np.float64]:
     moments = np.einsum("krc,rcn,r->kn", basis, image, solid_angle)
     cosine_lobe = np.array([1.0] + [2 / 3] * 3 + [1 / 4] * 5)  # divided by pi
     factors = np.array([0.282095] + [0.488603] * 3 + [1.092548] * 2 + [0.315392, 1.092548, 0.546274])
-    return moments * (cosine_lobe * factors)[:, None]
+    return np.asarray(moments * (cosine_lobe * factors)[:, None])
 
 
 def _looked_up(image: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -140,6 +141,7 @@ class Environment:
             If the array is not such an image, or not finite.
         """
         image = np.asarray(radiance, np.float64)
+        image = np.repeat(image[:, :, None], 3, axis=2) if image.ndim == 2 else image
         if image.ndim != 3 or image.shape[2] < 3 or 0 in image.shape or not np.isfinite(image).all():
             raise RenderError(f"an environment must be an image (H, W, 3) of finite radiance, not {image.shape}")
         full = _resample(image[:, :, :3], *PANORAMA_SIZE)
@@ -218,8 +220,8 @@ class Lighting:
             except ValueError:
                 fits = False
             if not fits:
-                raise RenderError(f"lighting: {name} must be three finite numbers, not {shown(value)}")
+                raise RenderError(f"lighting: {name} must be three finite numbers, not {describe(value)}")
         if not isinstance(self.environment, Environment):
-            raise RenderError(f"lighting: environment must be a runtime.Environment, not {shown(self.environment)}")
+            raise RenderError(f"lighting: environment must be a runtime.Environment, not {describe(self.environment)}")
         if not is_number(self.exposure) or not 0.0 <= self.exposure < np.inf:
-            raise RenderError(f"lighting: exposure is {shown(self.exposure)}, it must be a number of at least 0")
+            raise RenderError(f"lighting: exposure is {describe(self.exposure)}, it must be a number of at least 0")

@@ -3,13 +3,19 @@
 #ifndef FRAME_GLSL
 #define FRAME_GLSL
 
+// Members are the fields of runtime/gpu/frame_uniforms.py.
 layout(std140) uniform Frame {
     mat4 clip_from_world;
-    vec4 eye;             // xyz: where the eye is in the caller's world
-    vec4 viewport_px;     // width, height, pixels a metre at depth one, 1 where the projection is perspective
-    vec4 sun_direction;   // xyz: unit vector towards the sun
-    vec4 sun_color;       // rgb: radiance of a white sheet facing it; w: exposure
-    vec4 tessellation;    // wanted segment in pixels, largest factor, fixed factor (0: adaptive), texels a segment
+    vec3 eye;                  // where the eye is in the caller's world
+    float pixels_per_metre;    // that a metre covers at depth (w) one
+    vec3 sun_direction;        // unit vector towards the sun
+    float exposure;            // multiplies radiance before tone mapping
+    vec3 sun_color;            // radiance of a white sheet that faces it
+    float depth_per_metre;     // that a metre along the view adds to w: 0 without perspective
+    float fixed_factor;        // divides every tessellated edge; 0: as its length on the screen asks
+    float largest_factor;
+    float segment_px;          // wanted length of a divided edge's pieces
+    float texels_per_segment;  // and the shortest, in texels of the position texture
 };
 
 #endif

@@ -6,6 +6,6 @@ in vec4 in_world_row0;  // object space to world (seen from the eye), three rows
 in vec4 in_world_row1;
 in vec4 in_world_row2;
 in vec4 in_tint;        // rgb multiplies the base colour, a fades
-in ivec2 in_numbers;    // row of the joint texture; level of detail
+in ivec2 in_pose_and_level;    // row of the joint texture; level of detail
 
 #endif

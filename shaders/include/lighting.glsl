@@ -13,25 +13,25 @@
 // one before; one more tile holds the light from all around on a white sheet. No smaller levels: a driver that filters
 // on the processor samples a texture that has some at twice the price, even where it is told which to take.
 uniform sampler2D reflection_texture;
-const float STEPS_A_LEVEL = 8.0;
-const float FIRST_STEP = STEPS_A_LEVEL;
-const float LAST_STEP = 5.0 * STEPS_A_LEVEL;
+const float STEPS_PER_LEVEL = 8.0;
+const float FIRST_STEP = STEPS_PER_LEVEL;
+const float LAST_STEP = 5.0 * STEPS_PER_LEVEL;
 const float MAP_REACH = 0.8;  // of a half sphere's square; what is beyond belongs to the other one
 const vec4 DIFFUSE_TILE = vec4(0.5, 0.625, 0.3, 0.075);  // corner and size in the map
 
 // Where the light from a direction, a unit vector, lies in a tile.
-vec2 light_place(vec3 direction) {
+vec2 map_location(vec3 direction) {
     float scale = MAP_REACH * 0.5 / (1.0 + abs(direction.y));
     return direction.xz * vec2(0.5 * scale, scale) + vec2(direction.y < 0.0 ? 0.75 : 0.25, 0.5);
 }
 
 // Light from all around on a diffuse surface of this normal, as the radiance of a white sheet.
 vec3 environment_diffuse(vec3 normal) {
-    return textureLod(reflection_texture, light_place(normal) * DIFFUSE_TILE.zw + DIFFUSE_TILE.xy, 0.0).rgb;
+    return textureLod(reflection_texture, map_location(normal) * DIFFUSE_TILE.zw + DIFFUSE_TILE.xy, 0.0).rgb;
 }
 
 // What a surface of roughness (nth / LAST_STEP)^2 mirrors at a place of its tile.
-vec3 mirrored_light(vec2 place, float nth) {
+vec3 specular_radiance(vec2 place, float nth) {
     vec2 column = nth < 15.5 ? vec2(1.0, 8.0) : nth < 23.5 ? vec2(0.5, 16.0) : vec2(0.25, 24.0);  // size, first step
     vec2 tile = vec2(1.0 - column.x, (nth - column.y) * 0.125 * column.x);
     return textureLod(reflection_texture, tile + place * (column.x * vec2(0.5, 0.125)), 0.0).rgb;
@@ -40,21 +40,21 @@ vec3 mirrored_light(vec2 place, float nth) {
 // Metal mirrors enough to show every step, so it blends the two whole levels around its roughness. Of what else there is
 // the nearest step does.
 vec3 environment_reflection(vec3 direction, float roughness) {
-    vec2 place = light_place(direction);
+    vec2 place = map_location(direction);
     float nth = clamp(sqrt(roughness) * LAST_STEP, FIRST_STEP, LAST_STEP);
 #ifdef NO_METAL
-    return mirrored_light(place, floor(nth + 0.5));
+    return specular_radiance(place, floor(nth + 0.5));
 #else
-    float sharper = min(floor(nth / STEPS_A_LEVEL) * STEPS_A_LEVEL, LAST_STEP - STEPS_A_LEVEL);
-    return mix(mirrored_light(place, sharper), mirrored_light(place, sharper + STEPS_A_LEVEL),
-               (nth - sharper) / STEPS_A_LEVEL);
+    float sharper = min(floor(nth / STEPS_PER_LEVEL) * STEPS_PER_LEVEL, LAST_STEP - STEPS_PER_LEVEL);
+    return mix(specular_radiance(place, sharper), specular_radiance(place, sharper + STEPS_PER_LEVEL),
+               (nth - sharper) / STEPS_PER_LEVEL);
 #endif
 }
 
 // Scale and bias of the reflectance at normal incidence, after the BRDF is integrated over a constant environment: a fit
 // to the integral by 2048 samples, off by 0.11 and 0.06 at most (at grazing angles, elsewhere by 0.07). A power of
 // 1 - n.v that depends on roughness is closest, but two whole ones come within 0.003 of it at half the price.
-vec2 reflected_share(float n_dot_v, float roughness) {
+vec2 environment_brdf(float n_dot_v, float roughness) {
     float v = n_dot_v, r = roughness;
     float total = 1.0 - r * r * (0.469 - 0.387 * r + v * (1.124 + 0.183 * r + v * (-1.555 + 0.895 * r)));
     vec2 powers = vec2(-0.208, 1.308) + r * (vec2(9.712, -12.287) + r * (vec2(-29.695, 31.277)
@@ -68,7 +68,7 @@ vec2 reflected_share(float n_dot_v, float roughness) {
 // Radiance that the sun's light gives. With half vector h of the unit vectors l and v, |l + v|^2 = 2 (1 + l.v), so that
 // (n.h)^2 and (v.h)^2 need no normalising; distribution and masking share one division.
 vec3 light_directly(Surface s, vec3 diffuse_color, vec3 f0) {
-    vec3 to_light = sun_direction.xyz;
+    vec3 to_light = sun_direction;
     float towards_light = dot(s.normal, to_light);
     float towards_eye = dot(s.normal, s.view);
     float n_dot_l = max(towards_light, 0.0);
@@ -84,7 +84,7 @@ vec3 light_directly(Surface s, vec3 diffuse_color, vec3 f0) {
     float grazing = 1.0 - 0.5 * sqrt(sum_sq);
     float grazing_sq = grazing * grazing;
     vec3 fresnel = f0 + (1.0 - f0) * (grazing_sq * grazing_sq * grazing);
-    return (diffuse_color * (1.0 - fresnel) + fresnel * distribution) * sun_color.rgb * n_dot_l;
+    return (diffuse_color * (1.0 - fresnel) + fresnel * distribution) * sun_color * n_dot_l;
 }
 
 // How much of what is mirrored reaches a surface that its surroundings shade: (n.v + o)^(2 r) - 1 + o, the power as the
@@ -103,7 +103,7 @@ vec3 shade(Surface s) {
     vec3 diffuse_color = s.base_color.rgb * (1.0 - s.metallic);
     float towards_eye = dot(s.normal, s.view);
     float n_dot_v = abs(towards_eye);
-    vec2 share = reflected_share(n_dot_v, s.roughness);
+    vec2 share = environment_brdf(n_dot_v, s.roughness);
     vec3 reflectance = f0 * share.x + share.y;
     vec3 around = environment_diffuse(s.normal) * diffuse_color * (1.0 - reflectance);
     vec3 from = s.normal * (2.0 * towards_eye) - s.view;
@@ -123,7 +123,7 @@ vec3 shade(Surface s) {
 vec3 tone_map(vec3 radiance) {
     const float linear_part = 0.72;
     const float shoulder = 1.0 - linear_part;
-    vec3 color = radiance * sun_color.w;
+    vec3 color = radiance * exposure;
     float peak = clamp(max(max(color.r, color.g), color.b), 1e-6, 1e8);
     float over = max(peak - linear_part, 0.0);
     float below = over + shoulder;

@@ -46,7 +46,7 @@ void emit_point(vec2 uv, vec2 geometry_uv, mat3x4 world_from_object, vec4 tint, 
     gl_Position = projected;
     surface_uv = uv;
     surface_position = position;
-    surface_normal_matrix = normal_matrix(world_from_object) * normal_matrix(pose);
+    surface_normal_matrix = normal_matrix(world_from_object) * pose_normal_matrix(pose);
     surface_rest = rest;
     surface_tint = tint;
     surface_level = numbers.y;

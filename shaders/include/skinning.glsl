@@ -231,4 +231,15 @@ mat3 normal_matrix(mat3x4 rows) {
     return transpose(mat3(yz, cross(z, x), cross(x, y))) * handedness;
 }
 
+// The same of a pose. A part that joints mirror shows its back faces, whose normals are turned if it is drawn from both
+// sides: there the plain cofactors, which point inwards, make the outside the outside again (glTF 2.0, section 3.7.4).
+mat3 pose_normal_matrix(mat3x4 rows) {
+#ifdef ONE_SIDED
+    return normal_matrix(rows);
+#else
+    vec3 x = rows[0].xyz, y = rows[1].xyz, z = rows[2].xyz;
+    return transpose(mat3(cross(y, z), cross(z, x), cross(x, y)));
+#endif
+}
+
 #endif

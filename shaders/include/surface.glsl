@@ -30,7 +30,7 @@ uniform vec4 surface_factors;     // occlusion strength, roughness, metallic; al
 uniform vec3 emissive_factor;
 uniform bool surface_blended;
 
-// Programs for materials that lack a thing are compiled without it: NO_CUTOUT (alpha mode MASK), NO_BLEND (alpha mode
+// Programs for materials that lack a thing are compiled without it: NO_ALPHA_TEST (alpha mode MASK), NO_BLEND (alpha mode
 // BLEND), NO_FACTOR (a base colour factor), NO_ROUGHNESS_FACTOR, NO_EMISSION, NO_OCCLUSION, NO_METAL, NO_ORM (an
 // occlusion-roughness-metallic texture), ONE_SIDED. UNLIT materials have a colour alone. What varies of occlusion,
 // roughness and metallic may lie in alpha channels (runtime/gpu/material_packing.py): ROUGHNESS_IN_COLOR,
@@ -68,7 +68,7 @@ vec3 encode_srgb(vec3 linear_color) {
 }
 
 // A normal texel's vector as stored, turned to world axes and made unit: object space normals, filtered as vectors.
-vec3 turned_normal(vec3 texel) {
+vec3 world_normal(vec3 texel) {
 #ifdef FLOAT_NORMALS
     vec3 normal = surface_normal_matrix * texel;
 #else
@@ -83,16 +83,16 @@ vec3 turned_normal(vec3 texel) {
 }
 
 vec3 shading_normal() {
-    return turned_normal(texture(normal_texture, surface_normal_uv).xyz);
+    return world_normal(texture(normal_texture, surface_normal_uv).xyz);
 }
 
 // Colours are blended in the encoding they are stored in, in which their seams were closed, and then decoded.
-vec4 cut_out(vec4 texel) {
-#if defined(NO_CUTOUT) && defined(NO_BLEND)
+vec4 alpha_test(vec4 texel) {
+#if defined(NO_ALPHA_TEST) && defined(NO_BLEND)
     return vec4(texel.rgb, 1.0);
 #else
     float alpha = texel.a * base_color_factor.a * surface_tint.a;
-#ifndef NO_CUTOUT
+#ifndef NO_ALPHA_TEST
     if (alpha < surface_factors.w) discard;
 #endif
     return vec4(texel.rgb, surface_blended ? alpha : 1.0);
@@ -100,7 +100,7 @@ vec4 cut_out(vec4 texel) {
 }
 
 vec4 encoded_base_color() {
-    return cut_out(texture(base_color_texture, surface_color_uv));
+    return alpha_test(texture(base_color_texture, surface_color_uv));
 }
 
 // What a stored base colour is multiplied with, linear.
@@ -116,7 +116,7 @@ Surface read_surface() {
     Surface s;
     vec4 color_texel = texture(base_color_texture, surface_color_uv);
     vec4 normal_texel = texture(normal_texture, surface_normal_uv);
-    vec4 encoded = cut_out(color_texel);
+    vec4 encoded = alpha_test(color_texel);
 #ifdef NO_ORM
     vec3 orm = vec3(1.0);
 #else
@@ -133,7 +133,7 @@ Surface read_surface() {
 #endif
     s.uv = surface_uv;
     s.position = surface_position;
-    s.normal = turned_normal(normal_texel.xyz);
+    s.normal = world_normal(normal_texel.xyz);
     s.view = -normalize(surface_position);
     s.encoded = encoded.rgb;
     s.base_color = vec4(decode_srgb(encoded.rgb) * color_factor(), encoded.a);

@@ -3,8 +3,9 @@
 #ifndef VERTEX_UVS_GLSL
 #define VERTEX_UVS_GLSL
 
-vec2 uv_of_steps(uvec2 steps) {
-    PRECISE vec2 uv = vec2(steps) / 65535.0;
+// Uvs in 16 bits: UV_STEPS, CANONICAL_STEPS and NORMAL_UV are defined as the number of steps (runtime/gpu/vertex_layout.py).
+vec2 uv_of_steps(uvec2 steps, int num_steps) {
+    PRECISE vec2 uv = vec2(steps) / float(num_steps);
     return uv;
 }
 
@@ -12,7 +13,7 @@ vec2 uv_of_steps(uvec2 steps) {
 in uvec2 in_uv_steps;
 
 vec2 own_uv() {
-    return uv_of_steps(in_uv_steps);
+    return uv_of_steps(in_uv_steps, UV_STEPS);
 }
 #else
 in vec2 in_uv;
@@ -26,7 +27,7 @@ vec2 own_uv() {
 in uvec2 in_canonical_steps;
 
 vec2 canonical_uv() {
-    return uv_of_steps(in_canonical_steps);
+    return uv_of_steps(in_canonical_steps, CANONICAL_STEPS);
 }
 #else
 in vec2 in_canonical_uv;

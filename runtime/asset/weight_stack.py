@@ -1,12 +1,12 @@
-"""Stage "weights": dense joint weights a texel into the sparse 8- or 16-bit stack that a built character holds.
+"""Joint weights as a built character stores them: a sparse stack of 8- or 16-bit images, packed and unpacked.
 
-The paper (section 8) stores weight maps as 8-bit images, one channel a joint, and normalises on the fly. A texel of
-a real character moves with a few joints only, so what is stored here is a list of (joint, weight) pairs a texel, most
+The paper (section 8) stores weight maps as 8-bit images, one channel per joint, and normalises on the fly. A texel of
+a real character moves with a few joints only, so what is stored here is a list of (joint, weight) pairs per texel, most
 important first, as a stack of RGBA images under one another: joints of slots 0-3, weights of slots 0-3, joints of
-slots 4-7 and so on. Weights have 255 steps, joint numbers as many bits as they need. Rounding
-keeps each texel's weights summing to exactly one, so nothing has to be normalised: a bilinear blend of partitions of
-unity is one. The runtime rearranges the stack into one record per 2 x 2 footprint (runtime/gpu/weight_records.py);
-docs/format.md tells why.
+slots 4-7 and so on. Weights have 255 steps, joint numbers as many bits as they need. Rounding keeps each texel's
+weights summing to exactly one, so nothing has to be normalised: a bilinear blend of partitions of unity is one. The
+runtime rearranges the stack into one record per 2 x 2 footprint (runtime/gpu/weight_records.py); docs/format.md tells
+why.
 """
 
 from __future__ import annotations
@@ -17,9 +17,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-MAX_SLOTS = 8  # pairs kept a texel; real characters have at most 4 a vertex, and a blend of a few vertices a texel
+MAX_SLOTS = 8  # pairs per texel; real characters have at most 4 per vertex, and a texel blends a few vertices
 MAX_JOINTS_8BIT = 256  # joint numbers and weights share one image, so more joints make both 16-bit
 WEIGHT_STEPS = 255  # what the shaders unpack; 16-bit stacks hold multiples of 257
+
+
+def stored_step(dtype: Any) -> int:
+    """What one of the `WEIGHT_STEPS` steps is in a stored channel: 1 of 8 bits, 257 of 16."""
+    return int(np.iinfo(dtype).max) // WEIGHT_STEPS
 
 
 @dataclass(frozen=True)
@@ -31,7 +36,7 @@ class PackedWeights:
     stack : (2 * ceil(slots / 4) * H, W, 4) uint8 or uint16
         Joints and weights of four slots in turn, top to bottom. Unused slots hold joint 0 with weight 0.
     slots : int
-        Pairs a texel, at least 1.
+        Pairs per texel, at least 1.
     size : (int, int)
         W, H of the weight map.
     dropped_max : float
@@ -55,7 +60,7 @@ class PackedWeights:
 
 
 def _strongest(weights: NDArray[np.float64], count: int) -> NDArray[np.intp]:
-    """Indices of the `count` largest weights a row, largest first, equal ones by joint number: (N, count)."""
+    """Indices of the `count` largest weights of each row, largest first, equal ones by joint number: (N, count)."""
     if count < weights.shape[1]:
         chosen = np.argpartition(-weights, count - 1, axis=1)[:, :count]
         chosen.sort(axis=1)
@@ -73,7 +78,7 @@ def _round_to_unity(weights: NDArray[np.float64], levels: int) -> NDArray[np.int
     by_remainder = np.argsort(rounded - scaled, axis=1, kind="stable")
     rank = np.empty_like(by_remainder)
     np.put_along_axis(rank, by_remainder, np.broadcast_to(np.arange(weights.shape[1]), weights.shape), axis=1)
-    return rounded + (rank < missing[:, None])
+    return np.asarray(rounded + (rank < missing[:, None]), np.int64)
 
 
 def pack_weights(dense: NDArray[np.floating], max_slots: int = MAX_SLOTS) -> PackedWeights:
@@ -87,7 +92,7 @@ def pack_weights(dense: NDArray[np.floating], max_slots: int = MAX_SLOTS) -> Pac
         Weights of every joint; negative ones count as zero, rows need not be normalised. A texel whose weights are
         all zero is given to joint 0.
     max_slots : int
-        Pairs kept a texel at most.
+        Pairs kept per texel at most.
 
     Returns
     -------
@@ -114,7 +119,7 @@ def pack_weights(dense: NDArray[np.floating], max_slots: int = MAX_SLOTS) -> Pac
     kept[nothing, 0], joints[nothing, 0] = 1.0, 0
     steps = _round_to_unity(kept / kept.sum(axis=1, keepdims=True), WEIGHT_STEPS)
     joints = np.where(steps > 0, joints, 0)
-    stored = steps * (int(np.iinfo(dtype).max) // WEIGHT_STEPS)
+    stored = steps * stored_step(dtype)
     slots = int((steps > 0).sum(axis=1).max())
     num_images = -(-slots // 4)
     pairs = np.zeros((2, len(weights), num_images * 4), dtype)
@@ -123,6 +128,33 @@ def pack_weights(dense: NDArray[np.floating], max_slots: int = MAX_SLOTS) -> Pac
     images = pairs.reshape(2, height, width, num_images, 4).transpose(3, 0, 1, 2, 4)
     stack = np.ascontiguousarray(images.reshape(2 * num_images * height, width, 4))
     return PackedWeights(stack, slots, (width, height), float(dropped.max()))
+
+
+def unpack_steps(stored: NDArray[Any]) -> NDArray[np.int64]:
+    """Whole steps, 0 to `WEIGHT_STEPS`, of stored weights of any shape."""
+    step = stored_step(stored.dtype)
+    return (stored.astype(np.int64) + step // 2) // step
+
+
+def unpack_pairs(stack: NDArray[Any], size: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Joints and weights (in steps) of each texel from a stored stack, each (H, W, K) int64.
+
+    Parameters
+    ----------
+    stack : (2 * N * H, W, 4) uint8 or uint16
+    size : (W, H)
+
+    Raises
+    ------
+    ValueError
+        If the stack's shape does not fit the size.
+    """
+    width, height = size
+    if stack.shape[1:] != (width, 4) or stack.shape[0] % (2 * height):
+        raise ValueError(f"a weight stack of {width} x {height} texels cannot have the shape {stack.shape}")
+    images = stack.reshape(-1, 2, height, width, 4)
+    joints = np.concatenate(list(images[:, 0]), axis=-1).astype(np.int64)
+    return joints, unpack_steps(np.concatenate(list(images[:, 1]), axis=-1))
 
 
 def unpack_weights(stack: NDArray[Any], size: tuple[int, int], num_joints: int) -> NDArray[np.float64]:
@@ -143,15 +175,11 @@ def unpack_weights(stack: NDArray[Any], size: tuple[int, int], num_joints: int) 
     ValueError
         If the stack's shape does not fit the size, or a joint number is too large.
     """
-    width, height = size
-    if stack.shape[1:] != (width, 4) or stack.shape[0] % (2 * height):
-        raise ValueError(f"a weight stack of {width} x {height} texels cannot have the shape {stack.shape}")
-    images = stack.reshape(-1, 2, height * width, 4)
-    joints, weights = images[:, 0].astype(np.int64), images[:, 1] / float(np.iinfo(stack.dtype).max)
+    joints, steps = unpack_pairs(stack, size)
     if joints.max() >= num_joints:
         raise ValueError(f"a weight texel names joint {joints.max()} of {num_joints}")
-    dense = np.zeros((height * width, num_joints))
-    rows = np.broadcast_to(np.arange(height * width)[:, None], joints.shape[1:])
-    for image_joints, image_weights in zip(joints, weights):
-        np.add.at(dense, (rows, image_joints), image_weights)
-    return dense.reshape(height, width, num_joints)
+    dense = np.zeros((size[1] * size[0], num_joints))
+    texels = np.arange(len(dense))
+    for slot in range(joints.shape[-1]):  # a joint may come twice only with weight 0
+        np.add.at(dense, (texels, joints[..., slot].ravel()), steps[..., slot].ravel() / WEIGHT_STEPS)
+    return dense.reshape(size[1], size[0], num_joints)

@@ -1,1 +1,0 @@
-"""GLSL sources, one file a stage; shared parts in include/."""
