@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -268,6 +269,12 @@ def _merged(exact: list[Lod], relaxed: list[Lod]) -> tuple[list[Lod], list[Lod]]
     return [lod for lod in exact if not relaxed or lod.num_faces > relaxed[0].num_faces], relaxed
 
 
+def near_enough(lods: Sequence[Lod]) -> list[Lod]:
+    """Levels, the finest first, but for those whose error is beyond `MAX_ERROR_REL`."""
+    largest_m = MAX_ERROR_REL * float(np.ptp(lods[0].positions, axis=0).max())
+    return [lod for number, lod in enumerate(lods) if number == 0 or lod.error_m <= largest_m]
+
+
 def _useful(lods: list[Lod], relaxed: list[Lod]) -> tuple[list[Lod], list[Lod]]:
     """Those levels, exact and relaxed, that no coarser one is as near as: the others would not be chosen."""
     kept: list[Lod] = []
@@ -339,8 +346,7 @@ def decimate(
                 relaxed = _relaxed_levels(before, reference, finest, options)
             break
     if options.ratios is None:
-        far_m = MAX_ERROR_REL * reference.extent_m
-        lods, relaxed = _useful(*_merged([lod for lod in lods if lod is lods[0] or lod.error_m <= far_m], relaxed))
+        lods, relaxed = _useful(*_merged(near_enough(lods), relaxed))
     lods += relaxed
     log.info("decimate: %d -> %s faces", len(surface.faces), ", ".join(str(lod.num_faces) for lod in lods))
     return Chain(tuple(lods), floor, blocked, engine.repairs)
