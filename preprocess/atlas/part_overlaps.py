@@ -12,8 +12,8 @@ from preprocess.arrays import Floats, Ints
 from preprocess.mesh.predicates import face_orientation
 from preprocess.mesh.uv_overlap import find_overlap
 
-FEW_SHARE = 0.02
-"""Of the faces that may overlap: more of them are no accident."""
+FEW_SHARE, FEW_FACES = 0.01, 8
+"""Of the faces that may overlap, or so many: more of them are no accident."""
 
 MOST_FACES = 1000  # that overlap: all pairs of them are looked at
 
@@ -43,7 +43,7 @@ def part_overlaps(uvs: Floats, face_uvs: Ints) -> Floats | None:
         if not len(faces):
             near = np.linalg.norm(moved - uvs, axis=1).max(initial=0.0) <= FARTHEST_UV
             return moved if near and (face_orientation(moved, face_uvs) == wanted).all() else None
-        if overlap.num_flat or len(faces) > min(FEW_SHARE * len(face_uvs), MOST_FACES):
+        if overlap.num_flat or len(faces) > min(max(FEW_SHARE * len(face_uvs), FEW_FACES), MOST_FACES):
             return None
         for f, g, axis in zip(*_overlapping_pairs(moved[face_uvs[faces]]), strict=True):
             _clamp(moved, face_uvs[faces[f]], face_uvs[faces[g]], axis)
