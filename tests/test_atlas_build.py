@@ -195,7 +195,7 @@ def test_faces_that_overlap_by_a_texel_are_parted_and_the_rest_stays():
     assert 1 <= find_overlap(uvs, mesh.surface.face_uvs).num_pairs <= 4
     parted = part_overlaps(uvs, mesh.surface.face_uvs)
     assert parted is not None and find_overlap(parted, mesh.surface.face_uvs).one_to_one
-    assert (parted != uvs).any(axis=1).sum() <= 3 and np.abs(parted - uvs).max() < 2 / 1024
+    assert (parted != uvs).any(axis=1).sum() <= 8 and np.abs(parted - uvs).max() < 2 / 1024
     assert part_overlaps(mesh.surface.uvs, mesh.surface.face_uvs).tobytes() == mesh.surface.uvs.tobytes()
     assert part_overlaps(two_patches((0.0, 0.0)).surface.uvs, mesh.surface.face_uvs) is None
     assert build_atlas(crossed, straighten_rel=None).overlap == 0
