@@ -14,15 +14,23 @@ import moderngl
 from numpy.typing import NDArray
 
 from runtime.crowd.lod_buffers import CrowdLevel
+from runtime.crowd.morphs import UNITS, CrowdMorphs
 from runtime.crowd.state import Selection
 from runtime.gpu import gl_state
 from runtime.gpu.lod_buffers import MaterialRange
 from runtime.gpu.model import Model
 from runtime.gpu.programs import build_program, set_uniforms
 from runtime.gpu.textures import TEXTURE_UNITS
-from runtime.gpu.vertex_layout import CROWD_ATTRIBUTES, CROWD_INSTANCE, NORMAL_UVS, attribute_offsets, bind_buffer
-from runtime.render.passes import face_runs, set_material, start_lines
-from runtime.render.views import LINE_COLORS, LINES, Frame
+from runtime.gpu.vertex_layout import (
+    CROWD_ATTRIBUTES,
+    CROWD_INSTANCE,
+    MORPH_LISTS,
+    NORMAL_UVS,
+    attribute_offsets,
+    bind_buffer,
+)
+from runtime.render.passes import Faces, face_runs, set_material, start_lines
+from runtime.render.views import LINE_COLORS, LINES, VIEWS, Frame
 
 VERTEX_ANIMATION_UNIT = TEXTURE_UNITS["position_texture"]  # crowds do not read that one
 
@@ -58,6 +66,7 @@ class CrowdPasses:
     def __init__(self, model: Model, seam_lines: Callable[[int], moderngl.Buffer | None]) -> None:
         self.ctx, self._model = model.ctx, model
         self.levels: Sequence[CrowdLevel] = ()
+        self.morphs: CrowdMorphs | None = None
         self._seam_lines = seam_lines
         self._programs: dict[tuple[Any, ...], moderngl.Program] = {}
         self._vertex_arrays: dict[tuple[Any, ...], moderngl.VertexArray] = {}
@@ -95,9 +104,10 @@ class CrowdPasses:
             Uniforms that the model gives all its programs.
         """
         parts, view = _parts(selection), frame.view
-        for blended in face_runs(frame.gl, view):
-            for part in parts:
-                self._draw_faces(frame, part, constants, blended)
+        for faces in face_runs(frame.gl, view, frame.blend_prepass):
+            how = replace(frame, view_name="depth", view=VIEWS["depth"], uniforms={}) if faces is Faces.DEPTH else frame
+            for part in parts[::-1] if faces is Faces.BLENDED else parts:  # coarse levels are far away
+                self._draw_faces(how, part, constants, faces)
         if view.lines:
             start_lines(frame.gl)
             colors = {"flat_color": LINE_COLORS[view.lines]}
@@ -105,11 +115,10 @@ class CrowdPasses:
             for part in parts:
                 self._draw_lines(over, part, constants, view.lines)
 
-    def _draw_faces(self, frame: Frame, part: _Part, constants: Mapping[str, Any], blended: bool | None) -> None:
-        """Draw the ranges of a level: all of them, or those that are blended, or those that are not."""
+    def _draw_faces(self, frame: Frame, part: _Part, constants: Mapping[str, Any], faces: Faces) -> None:
+        """Draw those ranges of a level that are meant."""
         level = self.levels[part.level]
-        ranges = [one for one in level.ranges if blended is None or (one.material.alpha_mode == "BLEND") == blended]
-        for one in ranges:
+        for one in faces.of(level.ranges):
             array = self._prepare(frame, part, constants, "triangles", one)
             frame.gl.switch(gl_state.CULL_FACE, not (one.material.double_sided or frame.view.two_sided))
             array.render(moderngl.TRIANGLES, vertices=3 * one.count, first=3 * one.first, instances=part.count)
@@ -117,7 +126,7 @@ class CrowdPasses:
     def _draw_lines(self, frame: Frame, part: _Part, constants: Mapping[str, Any], lines: str) -> None:
         if lines == "wireframe":
             frame.gl.glPolygonMode(gl_state.FRONT_AND_BACK, gl_state.LINE)
-            self._draw_faces(frame, part, constants, None)
+            self._draw_faces(frame, part, constants, Faces.ALL)
             frame.gl.glPolygonMode(gl_state.FRONT_AND_BACK, gl_state.FILL)
         elif self._seam_lines(part.level) is not None:
             array = self._prepare(frame, part, constants, "seams", self.levels[part.level].ranges[0])
@@ -132,6 +141,8 @@ class CrowdPasses:
         program = self._programs.get(key) or self._build(key, frame, level, faces)
         for values in (constants, level.uniforms, frame.view.uniforms, frame.uniforms, {"crowd_level": part.level}):
             set_uniforms(program, values)
+        if self.morphs is not None:
+            set_uniforms(program, self.morphs.uniforms)
         set_material(program, faces.material, frame.view.blends)
         if level.animation is not None:
             level.animation.use(VERTEX_ANIMATION_UNIT)
@@ -148,9 +159,11 @@ class CrowdPasses:
         defines |= dict.fromkeys(faces.defines, 1)
         if self._model.asset.colors_moved:
             defines["COLOR_AT_NORMAL_UV"] = 1
+        if self.morphs is not None:
+            defines["MORPHS"] = 1
         stages = ["crowd.vert", *([frame.view.fragment] if frame.view.fragment else [])]
         program = build_program(self.ctx, stages, defines, frame.view.text, frame.view.folder)
-        set_uniforms(program, {**TEXTURE_UNITS, "vertex_animation_texture": VERTEX_ANIMATION_UNIT})
+        set_uniforms(program, {**TEXTURE_UNITS, **UNITS, "vertex_animation_texture": VERTEX_ANIMATION_UNIT})
         self._programs[key] = program
         return program
 
@@ -161,6 +174,7 @@ class CrowdPasses:
             bind_buffer(program, level.vertices, level.attributes),
             bind_buffer(program, self._instances, CROWD_ATTRIBUTES, per_instance=True),
             None if level.normal_uvs is None else bind_buffer(program, level.normal_uvs, NORMAL_UVS),
+            None if self.morphs is None else bind_buffer(program, self.morphs.lists[number], MORPH_LISTS),
         ]
         indices = level.indices if kind == "triangles" else self._seam_lines(number)
         used = [entry for entry in content if entry is not None]
