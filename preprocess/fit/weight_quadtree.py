@@ -70,7 +70,10 @@ def _exceeded(wrong: Floats, points: WeightPoints, moves: Floats) -> NDArray[np.
     rows = (wrong @ moves).reshape(len(wrong), moves.shape[1] // 12, 3, 4)
     moved = np.einsum("npij,nj->npi", rows[..., :3], points.positions) + rows[..., 3]
     moved_rel = np.sqrt((moved**2).sum(axis=2).max(axis=1))
-    return (moved_rel > points.allowed_rel) | (np.abs(wrong).max(axis=1) > WEIGHT_ALLOWED * points.allowed_rel)
+    result: NDArray[np.bool_] = (moved_rel > points.allowed_rel) | (
+        np.abs(wrong).max(axis=1) > WEIGHT_ALLOWED * points.allowed_rel
+    )
+    return result
 
 
 def _shares(fraction: Floats) -> Floats:
@@ -118,7 +121,8 @@ def _quarters(corners: Floats) -> Floats:
     blends = np.array([_shares(np.array([(x, y)]) / 2.0)[0] for y in range(3) for x in range(3)])
     grid = np.einsum("gk,skj->sgj", blends, corners)
     of_quarter = np.array([[3 * (y + b) + x + a for b in (0, 1) for a in (0, 1)] for y in (0, 1) for x in (0, 1)])
-    return grid[:, of_quarter].reshape(-1, 4, corners.shape[2])
+    result: Floats = grid[:, of_quarter].reshape(-1, 4, corners.shape[2])
+    return result
 
 
 def _on_both_sides(points: WeightPoints, size: tuple[int, int]) -> WeightPoints:
