@@ -29,6 +29,7 @@ from preprocess.fit.textures import TextureStage
 from preprocess.fit.uv_quantisation import snap_levels, snap_mesh
 from preprocess.load import Character, load_character
 from preprocess.load.pose_sampling import sample_poses
+from preprocess.mesh.morphs import choose_shapes, shaped_matrices, shift_vertices
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.progress import Progress
 from preprocess.settings import Settings
@@ -165,7 +166,10 @@ def _build_once(character: Character, folder: Path, settings: Settings, progress
         lods = chain.lods if stored.mesh is atlas.mesh else snap_levels(chain.lods)
         stage.delta = " → ".join(str(lod.num_faces) for lod in lods)
     with progress.stage("fit") as stage:
-        geometry, lods = fit_levels(stored.mesh, lods, poses, settings.geometry_size_px, settings.weight_size_px)
+        shapes = choose_shapes(stored.mesh.morphs, stored.mesh.num_vertices)
+        geometry, lods = fit_levels(
+            stored.mesh, lods, poses, settings.geometry_size_px, settings.weight_size_px, shapes
+        )
         textures = [*geometry, *textures]
         chain = dataclasses.replace(chain, lods=lods)
         normal_uvs = baking.level_normal_uvs(chain.lods)
@@ -203,6 +207,8 @@ def _build_lods(
     position = bake_surface_positions(mesh, (SURFACE_PX, SURFACE_PX))
     dense = mesh.dense_weights(poses.shape[1])
     blended = np.einsum("vj,pjik->pvik", dense, poses[:, :, :3])
+    shifts = shift_vertices(mesh.morphs, choose_shapes(mesh.morphs, mesh.num_vertices), mesh.num_vertices)
+    blended = np.concatenate([blended, shaped_matrices(blended[0], shifts)])
     options = DecimateOptions(
         ratios=None if settings.lod_ratios is None else (1.0, *settings.lod_ratios),
         relaxed_px=0.0 if settings.exact else DecimateOptions().relaxed_px,

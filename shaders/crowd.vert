@@ -6,6 +6,9 @@
 #include "include/frame.glsl"
 #include "include/skinning.glsl"
 #include "include/joint_color.glsl"
+#ifdef MORPHS
+#include "include/morphs.glsl"
+#endif
 
 in vec3 in_position;
 in uvec4 in_joints;      // the strongest first
@@ -29,6 +32,47 @@ in uint in_column;
 uniform usampler2D vertex_animation_texture;   // a place along x, a pose a row: 11, 11 and 10 bits
 uniform vec3 vertex_animation_scale;           // metres = whole number * scale + offset
 uniform vec3 vertex_animation_offset;
+#endif
+
+#ifdef MORPHS
+in uvec2 in_morph_list;                // first record, how many (runtime/crowd/morphs.py)
+in float in_actor;                     // number in the crowd
+uniform sampler2D crowd_morphs;        // four texels a record: three rows, and the morph's number
+uniform sampler2D clip_morph_weights;  // a morph along x, a row of the baked clips along y
+uniform sampler2D own_morph_weights;   // of one actor after the other, far beyond all weights where it is the clip's
+uniform int num_morphs;
+uniform bool has_own_morphs;
+
+const int MORPH_ROW_LOG2 = 10;
+const int MORPH_ROW_MASK = (1 << MORPH_ROW_LOG2) - 1;
+
+float morph_weight(int morph, int row, int next, float onwards) {
+    if (has_own_morphs) {
+        int place = int(in_actor) * num_morphs + morph;
+        float own = texelFetch(own_morph_weights, ivec2(place & MORPH_ROW_MASK, place >> MORPH_ROW_LOG2), 0).r;
+        if (own < 1e8) {
+            return own;
+        }
+    }
+    float here = texelFetch(clip_morph_weights, ivec2(morph, row), 0).r;
+    return onwards > 0.0 ? mix(here, texelFetch(clip_morph_weights, ivec2(morph, next), 0).r, onwards) : here;
+}
+
+mat3x4 listed_morphs(int row, int next, float onwards) {
+    mat3x4 sum = mat3x4(0.0);
+    for (uint number = 0u; number < in_morph_list.y; ++number) {
+        int record = int(in_morph_list.x + number);
+        ivec2 at = ivec2(4 * (record & MORPH_ROW_MASK), record >> MORPH_ROW_LOG2);
+        float weight = morph_weight(int(texelFetch(crowd_morphs, at + ivec2(3, 0), 0).r), row, next, onwards);
+        if (weight != 0.0) {
+            sum += weight * mat3x4(
+                texelFetch(crowd_morphs, at, 0),
+                texelFetch(crowd_morphs, at + ivec2(1, 0), 0),
+                texelFetch(crowd_morphs, at + ivec2(2, 0), 0));
+        }
+    }
+    return sum;
+}
 #endif
 
 out vec2 surface_uv;
@@ -92,7 +136,12 @@ void main() {
 #ifdef VERTEX_ANIMATION
     vec3 point = posed_point(row, next, onwards);
 #else
-    vec3 point = transform_point(pose, in_position);
+    vec3 rest = in_position;
+#ifdef MORPHS
+    mat3x4 morph = listed_morphs(row, next, onwards);
+    rest = morphed_point(morph, rest);
+#endif
+    vec3 point = transform_point(pose, rest);
 #endif
     mat3x4 world = mat3x4(in_world_row0, in_world_row1, in_world_row2);
     surface_position = transform_point(world, point);
@@ -102,6 +151,9 @@ void main() {
     surface_normal_uv = vec2(in_normal_uv) / float(NORMAL_UV);
 #endif
     surface_normal_matrix = normal_matrix(world) * pose_normal_matrix(pose);
+#if defined(MORPHS) && !defined(VERTEX_ANIMATION)
+    surface_normal_matrix = surface_normal_matrix * morph_turn(morph);
+#endif
     surface_rest = in_position;
     surface_tint = in_tint;
     surface_level = crowd_level;

@@ -8,6 +8,9 @@
 // arithmetic that does not care which end is first: so both divide it alike.
 #include "include/frame.glsl"
 #include "include/skinning.glsl"
+#ifdef MORPHS
+#include "include/morphs.glsl"
+#endif
 
 layout(vertices = 3) out;
 
@@ -34,6 +37,15 @@ patch out vec4 patch_world_row1;
 patch out vec4 patch_world_row2;
 patch out vec4 patch_tint;
 patch out ivec2 patch_pose_and_level;
+
+vec3 moved_rest(vec2 place, int corner) {
+#ifdef MORPHS
+    return morphed_point(
+        morph_at(place, textureSize(position_texture, 0), point_pose_and_level[corner].x), rest_position(place));
+#else
+    return rest_position(place);
+#endif
+}
 
 float edge_factor(vec3 a, vec3 b, vec4 edge_uvs) {
     if (edge_uvs.xy == edge_uvs.zw) {  // an edge that is to stay whole (runtime/gpu/patch_validation.py)
@@ -67,7 +79,7 @@ void main() {
     corner_edge_uvs[gl_InvocationID] = vec4(point_uv[3 + 2 * corner], point_uv[4 + 2 * corner]);
     corner_position[gl_InvocationID] = fixed_factor > 0.0
         ? vec3(0.0)
-        : transform_point(world, transform_point(blend_joints(place, point_pose_and_level[corner].x), rest_position(place)));
+        : transform_point(world, transform_point(blend_joints(place, point_pose_and_level[corner].x), moved_rest(place, corner)));
     barrier();
     if (corner == 0) {
         patch_world_row0 = point_world_row0[0];

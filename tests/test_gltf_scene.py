@@ -235,15 +235,16 @@ def test_quantised_attributes(tmp_path: Path) -> None:
     np.testing.assert_allclose(mesh.corner_normals, np.broadcast_to([0, 0, 1.0], (2, 3, 3)))
 
 
-def test_default_morph_weights_are_applied_and_targets_dropped(tmp_path: Path) -> None:
+def test_default_morph_weights_are_those_at_rest(tmp_path: Path) -> None:
     builder = GltfBuilder()
     shape = grid(1, 1)
     primitive = builder.primitive(shape["positions"], shape["faces"])
     primitive["targets"] = [{"POSITION": builder.accessor(np.tile([0.0, 0, k], (4, 1)))} for k in (4, 8)]
     builder.node(mesh=builder.mesh(primitive, weights=[0.5, 0]))
     character = load_character(builder.write(tmp_path / "a.glb"))
-    np.testing.assert_array_equal(character.mesh.surface.positions[:, 2], 2)
-    assert any("2 morph targets dropped" in warning for warning in character.warnings)
+    assert character.skeleton.morph_weights == (0.5, 0)
+    np.testing.assert_array_equal(character.mesh.surface.positions[:, 2], 0)
+    np.testing.assert_array_equal([morph.shifts[:, 2] for morph in character.mesh.morphs], [[4] * 4, [8] * 4])
 
 
 def test_only_the_default_scene_is_built(tmp_path: Path) -> None:

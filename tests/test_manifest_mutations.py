@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import json
+import os
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,6 +17,8 @@ from typing import Any
 import numpy as np
 import pytest
 from builders_asset import build_ball
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from preprocess.files.images import Image, write_image
 from runtime.asset.asset import Asset, load
@@ -30,6 +33,7 @@ WRONG = (
     DELETED,
 )
 LONGEST_LINE = 300
+ROUNDS = int(os.environ.get("SEAMSKIN_FUZZ_ROUNDS", "150"))  # `./run fuzz` asks for many more
 # What a character may lack: without them it is another one, and a list of files says that they were there (`check`).
 OPTIONAL = {("textures", name) for name in ("base_color", "orm")} | {("textures", "weights", "details")}
 
@@ -134,6 +138,14 @@ def split_glb(data: bytes) -> tuple[dict[str, Any], bytes]:
     return json.loads(data[20 : 20 + length]), data[20 + length :]
 
 
+def join_glb(root: Any, rest: bytes) -> bytes:
+    """A GLB file of other JSON."""
+    body = json.dumps(root).encode()
+    body += b" " * (-len(body) % 4)
+    head = struct.pack("<III", 0x46546C67, 2, 20 + len(body) + len(rest))
+    return head + struct.pack("<II", len(body), 0x4E4F534A) + body + rest
+
+
 def test_every_wrong_value_of_a_model_is_refused_or_loads(folder: Path) -> None:
     path = folder / "model.glb"
     data = path.read_bytes()
@@ -143,11 +155,53 @@ def test_every_wrong_value_of_a_model_is_refused_or_loads(folder: Path) -> None:
     try:
         for place in places(model):
             for number in rng.choice(len(WRONG), 6, replace=False):
-                body = json.dumps(edited(model, place, WRONG[number])).encode()
-                body += b" " * (-len(body) % 4)
-                size = struct.pack("<III", 0x46546C67, 2, 20 + len(body) + len(rest))
-                path.write_bytes(size + struct.pack("<II", len(body), 0x4E4F534A) + body + rest)
+                path.write_bytes(join_glb(edited(model, place, WRONG[number]), rest))
                 tried, refused = tried + 1, refused + (outcome(folder) is None)
     finally:
         path.write_bytes(data)
     assert tried > 1000 and refused > tried // 3
+
+
+UNCHECKED = [HealthCheck.too_slow, HealthCheck.function_scoped_fixture]  # each example puts back what it changed
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=6,
+)
+
+
+@settings(max_examples=ROUNDS, deadline=None, suppress_health_check=UNCHECKED)
+@given(data=st.data())
+def test_any_json_in_a_manifest_and_a_model_is_refused_or_loads(folder: Path, data: st.DataObject) -> None:
+    """Several values at once, of any shape."""
+    path = folder / data.draw(st.sampled_from(["manifest.json", "model.glb"]))
+    before = path.read_bytes()
+    root, rest = (json.loads(before), b"") if path.suffix == ".json" else split_glb(before)
+    try:
+        for _ in range(data.draw(st.integers(1, 3))):
+            place = data.draw(st.sampled_from(list(places(root))[1:]))
+            root = edited(root, place, data.draw(JSON))
+        path.write_bytes(json.dumps(root).encode() if path.suffix == ".json" else join_glb(root, rest))
+        outcome(folder)
+    finally:
+        path.write_bytes(before)
+
+
+@settings(max_examples=ROUNDS, deadline=None, suppress_health_check=UNCHECKED)
+@given(data=st.data())
+def test_any_damage_to_a_file_is_refused_or_loads(
+    folder: Path, data: st.DataObject, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Files cut short, and bytes that changed; libraries keep quiet."""
+    path = folder / data.draw(st.sampled_from(sorted(p.name for p in folder.iterdir() if p.is_file())))
+    before = path.read_bytes()
+    damaged = bytearray(before[: data.draw(st.integers(0, len(before)))])
+    for at, value in data.draw(st.lists(st.tuples(st.integers(0, len(before)), st.integers(0, 255)), max_size=4)):
+        if at < len(damaged):
+            damaged[at] = value
+    try:
+        path.write_bytes(damaged)
+        outcome(folder)
+    finally:
+        path.write_bytes(before)
+    assert capfd.readouterr().err == ""

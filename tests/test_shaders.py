@@ -24,18 +24,19 @@ from runtime.render.views import LINES, VIEWS
 SHADERS = Path(__file__).resolve().parent.parent / "shaders"
 BLOCK = {"JOINT_BLOCK_ROWS": 1020}
 VARIANTS: dict[str, list[dict[str, str | int]]] = {
-    "static.vert": [{}, {"SHOW_WEIGHTS": 1}, {"WITHOUT_CANONICAL_UVS": 1}, {"DUAL_QUATERNIONS": 1}],
+    "static.vert": [{}, {"MORPHS": 1}, {"SHOW_WEIGHTS": 1}, {"WITHOUT_CANONICAL_UVS": 1}, {"DUAL_QUATERNIONS": 1}],
     "patch.tese": [
         {},
+        {"MORPHS": 1},
         {"SHOW_WEIGHTS": 1},
         {"WITHOUT_CANONICAL_UVS": 1},
         {"EQUAL_SPACING": 1},
         {"DUAL_QUATERNIONS": 1},
     ],
-    "patch.tesc": [{}, {"DUAL_QUATERNIONS": 1}],
+    "patch.tesc": [{}, {"MORPHS": 1}, {"DUAL_QUATERNIONS": 1}],
     "attributes.vert": [BLOCK],
     "layouts.vert": [{"LAYOUT_LISTS": 1, "LISTS": 2}, {"LAYOUT_DENSE": 1, "LAYERS": 14}],
-    "crowd.vert": [{}, {"EIGHT_JOINTS": 1}, {"VERTEX_ANIMATION": 1}, {"SHOW_WEIGHTS": 1}],
+    "crowd.vert": [{}, {"EIGHT_JOINTS": 1}, {"MORPHS": 1}, {"VERTEX_ANIMATION": 1}, {"SHOW_WEIGHTS": 1}],
 }
 NORMALS = {"NORMAL_UV": UV_STEPS}
 STEPS, WIDE = {"UV_STEPS": UV_STEPS, "CANONICAL_STEPS": UV_STEPS, "POSITION_WORDS": 1}, {"WIDE_JOINTS": 1}

@@ -46,7 +46,7 @@ NARROW_REL = 0.2
 GAP_REL = 1e-4
 """Of a chart's size: borders that are nearer once moved need no relaxing."""
 
-RELAX_STEPS = 6
+RELAX_STEPS = 4
 MOST_ROUNDS = 60
 
 

@@ -16,10 +16,10 @@ from preprocess.arrays import Floats, Ints
 from preprocess.errors import InputError
 from preprocess.numerics.jit import entry, helper
 
-ROTATIONS = 16
+ROTATIONS = 8
 """Orientations tried, evenly spread, from the one whose bounding box is smallest."""
 
-MAX_CELLS = 1024
+MAX_CELLS = 768
 """Cells a side of the grid, at most one a texel."""
 
 MANY_CHARTS = 1000

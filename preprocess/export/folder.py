@@ -21,14 +21,18 @@ from preprocess.files.images import Image, write_image
 from preprocess.files.output_folder import MANIFEST, describe_contents
 from preprocess.fit.stored_texture import StoredTexture
 from preprocess.load import Character
+from preprocess.mesh.surface import SkinnedMesh
 from preprocess.settings import Settings
-from runtime.animation.bounds import clip_bounds, joint_boxes
+from runtime.animation.bounds import clip_bounds, grown_boxes, joint_boxes, weight_ranges
 from runtime.asset.manifest import SCHEMA
+from runtime.asset.morphs import pack_morphs
 from runtime.asset.weight_quadtree import WeightDetails, pack_details
 
 MODEL = "model.glb"
 SRGB = ("base_color", "emissive")  # textures whose stored values are sRGB-encoded
 DETAILS = "weight_details.png"
+MORPHS = "morphs.png"
+REACH_MARGIN = 0.05  # of a target's largest shift: points between vertices follow its map, not the faces
 RELIEF = "tangent_normal.png"  # what model.glb has for the normal texture; the runtime reads the latter
 BOUNDS_MARGIN_REL = 0.005  # of the diagonal: points between vertices follow the position texture, not the faces
 
@@ -107,6 +111,7 @@ def write_folder(
         "bounds": _bounds(character, atlas),
         "lods": [asdict(row) for row in rows],
         "textures": entries,
+        **_write_morphs(folder, atlas, textures, character.skeleton.num_joints),
         "atlas": {
             "mode": atlas.mode,
             "charts": atlas.num_charts,
@@ -190,6 +195,36 @@ def _write_details(folder: Path, details: WeightDetails, form: str) -> dict[str,
     return {"file": DETAILS, "leaves": len(details.depths), "slots": int(details.joints.shape[-1])}
 
 
+def _write_morphs(
+    folder: Path, atlas: Atlas, textures: Sequence[StoredTexture], num_joints: int
+) -> dict[str, dict[str, Any]]:
+    """Write the displacement maps of the morph targets; their part of the manifest, empty where there are none.
+
+    `reach` says how far a target of weight one moves what a joint carries: joint, least and greatest shift.
+    """
+    morphs = next((texture.morphs for texture in textures if texture.morphs is not None), None)
+    if morphs is None:
+        return {}
+    image, entries = pack_morphs(morphs.targets)
+    write_image(folder / MORPHS, Image(image / float(np.iinfo(image.dtype).max), "uint16"))
+    for entry, reach in zip(entries, morph_reaches(atlas.mesh, num_joints)):
+        moved = reach.any(axis=(1, 2))
+        entry["reach"] = [[int(joint), *reach[joint].tolist()] for joint in np.flatnonzero(moved)]
+    return {"morphs": {"file": MORPHS, "targets": entries}}
+
+
+def morph_reaches(mesh: SkinnedMesh, num_joints: int) -> Floats:
+    """How far each morph of weight one moves what each joint carries, (M, J, 2, 3): least and greatest shift."""
+    reaches = np.zeros((len(mesh.morphs), num_joints, 2, 3))
+    for number, morph in enumerate(mesh.morphs):
+        shifts = morph.dense_shifts(mesh.num_vertices)
+        boxes = joint_boxes(shifts, mesh.joint_indices, mesh.joint_weights, num_joints, faces=mesh.surface.faces)
+        margin = REACH_MARGIN * float(np.abs(shifts).max(initial=0.0))
+        moved = np.isfinite(boxes).all(axis=(1, 2)) & boxes.any(axis=(1, 2))
+        reaches[number, moved] = boxes[moved] + np.array([[-margin], [margin]])
+    return reaches
+
+
 def _bounds(character: Character, atlas: Atlas) -> dict[str, Any]:
     """Boxes that hold the character in bind pose, a joint's part of it, and all of it over each clip."""
     mesh = atlas.mesh
@@ -202,10 +237,16 @@ def _bounds(character: Character, atlas: Atlas) -> dict[str, Any]:
         faces=mesh.surface.faces,
         margin_m=BOUNDS_MARGIN_REL * mesh.surface.diagonal_m,
     )
+    reaches = morph_reaches(mesh, character.skeleton.num_joints)
     return {
         "bind": [positions.min(axis=0).tolist(), positions.max(axis=0).tolist()],
         "joints": [box.tolist() if np.isfinite(box).all() else None for box in boxes],
-        "clips": {clip.name: clip_bounds(character.skeleton, clip, boxes).tolist() for clip in character.clips},
+        "clips": {
+            clip.name: clip_bounds(
+                character.skeleton, clip, grown_boxes(boxes, reaches, weight_ranges(clip, character.skeleton))
+            ).tolist()
+            for clip in character.clips
+        },
     }
 
 

@@ -20,7 +20,8 @@ from preprocess.export.lod_vertices import LodMesh, build_lod_mesh
 from preprocess.export.materials import describe_textures, plan_draws, uv_set
 from preprocess.load.character import Character
 from preprocess.mesh.surface import SkinnedMesh
-from runtime.animation.clip import Clip
+from runtime.animation.clip import WEIGHTS, Clip, Track
+from runtime.animation.keyframes import evaluate, stack_tracks
 from runtime.animation.skeleton import Skeleton
 from runtime.asset.lod_mesh import UV_STEPS
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from pygltflib import GLTF2
 
 GENERATOR = "seamskin"
+CUBIC_PARTS = 8  # that a span of a cubic key track is sampled in, where tracks' keys differ
 SCREEN_ROWS = 1080  # of the screen for which MSFT_screencoverage is given
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 COMPONENTS = {np.dtype(np.uint8): 5121, np.dtype(np.uint16): 5123, np.dtype(np.uint32): 5125, np.dtype("<f4"): 5126}
@@ -74,6 +76,25 @@ class _Buffer:
             self.accessors.append(spec)
             self._known[key] = len(self.accessors) - 1
         return self._known[key]
+
+    def sparse_accessor(self, rows: NDArray[np.int64], values: NDArray[np.float32], count: int, bounds: bool) -> int:
+        """An accessor of `count` vectors that are zero but in some rows."""
+        spec: dict[str, Any] = {"componentType": COMPONENTS[values.dtype], "count": count, "type": "VEC3"}
+        if bounds:
+            low, high = values.min(axis=0, initial=np.inf), values.max(axis=0, initial=-np.inf)
+            if len(rows) < count:
+                low, high = np.minimum(low, 0), np.maximum(high, 0)
+            spec["min"], spec["max"] = low.tolist(), high.tolist()
+        if len(rows):
+            kind = np.uint16 if count <= 0xFFFF else np.uint32
+            numbers = self.view(rows.astype(kind).tobytes(), None)
+            spec["sparse"] = {
+                "count": len(rows),
+                "indices": {"bufferView": numbers, "componentType": COMPONENTS[np.dtype(kind)]},
+                "values": {"bufferView": self.view(values.tobytes(), None)},
+            }
+        self.accessors.append(spec)
+        return len(self.accessors) - 1
 
     def finish(self) -> None:
         """Append the clips' view and let their accessors point to it."""
@@ -155,22 +176,63 @@ def _add_skin(
     return skin, roots
 
 
-def _describe_clip(clip: Clip, buffer: _Buffer) -> dict[str, Any] | None:
-    """A clip with its keys as they are; None for one without tracks, which glTF does not allow."""
+def _weight_keys(tracks: Sequence[Track], rest: Sequence[float]) -> tuple[str, NDArray[Any], NDArray[Any]]:
+    """Tracks of single morphs as one of all: interpolation, times (K,), values (K, M), or (3 K, M) for CUBICSPLINE.
+
+    Where the tracks' keys differ, they are brought to the times of all; cubic ones are sampled between their keys.
+    """
+    first = tracks[0]
+    alike = all(
+        track.interpolation == first.interpolation and np.array_equal(track.times, first.times) for track in tracks
+    )
+    if alike:
+        values = np.zeros((*first.values.shape[:-1], len(rest)))
+        (values[:, 1] if values.ndim == 3 else values)[:] = rest
+        for track in tracks:
+            values[..., track.node] = track.values[..., 0]
+        return first.interpolation, first.times, values.reshape(-1, len(rest))
+    times = np.unique(np.concatenate([track.times for track in tracks]))
+    if any(track.interpolation == "CUBICSPLINE" for track in tracks):
+        steps = np.linspace(0.0, 1.0, CUBIC_PARTS, endpoint=False)
+        times = np.append((times[:-1, None] + np.diff(times)[:, None] * steps).ravel(), times[-1])
+    step = [np.nextafter(track.times[1:].astype("<f4"), 0.0) for track in tracks if track.interpolation == "STEP"]
+    times = np.unique(np.concatenate([times.astype("<f4"), *step])).astype(np.float64)
+    values = np.tile(np.asarray(rest, np.float64), (len(times), 1))
+    for bank, found in evaluate(stack_tracks(tracks), times, np.dtype(np.float64)):
+        values[:, bank.nodes] = found[0].T
+    return "LINEAR", times, values
+
+
+def _describe_clip(
+    clip: Clip, buffer: _Buffer, level_nodes: Sequence[int], rest: Sequence[float]
+) -> dict[str, Any] | None:
+    """A clip with its keys as they are; None for one without tracks, which glTF does not allow.
+
+    Morph weights go to the mesh of every level.
+    """
     samplers: list[dict[str, Any]] = []
     channels: list[dict[str, Any]] = []
-    for track in clip.tracks:
-        values = track.values
-        if track.interpolation == "CUBICSPLINE":
-            values = values.reshape(-1, values.shape[-1])
-        channels.append({"sampler": len(samplers), "target": {"node": int(track.node), "path": track.path}})
+
+    def add(mode: str, times: NDArray[Any], values: NDArray[Any], targets: Sequence[tuple[int, str]]) -> None:
+        channels.extend({"sampler": len(samplers), "target": {"node": node, "path": path}} for node, path in targets)
         samplers.append(
             {
-                "input": buffer.clip_accessor(track.times, bounds=True),
+                "input": buffer.clip_accessor(times, bounds=True),
                 "output": buffer.clip_accessor(values, bounds=False),
-                "interpolation": track.interpolation,
+                "interpolation": mode,
             }
         )
+
+    for track in clip.tracks:
+        if track.path != WEIGHTS:
+            values = track.values
+            if track.interpolation == "CUBICSPLINE":
+                values = values.reshape(-1, values.shape[-1])
+            add(track.interpolation, track.times, values, [(int(track.node), track.path)])
+    moving = [track for track in clip.tracks if track.path == WEIGHTS]
+    if moving:
+        mode, times, values = _weight_keys(moving, rest)
+        add(mode, times, values.reshape(-1), [(node, WEIGHTS) for node in level_nodes])
     return {"name": clip.name, "samplers": samplers, "channels": channels} if channels else None
 
 
@@ -204,13 +266,22 @@ def _describe_mesh(
         weights = np.ascontiguousarray(level.weights[:, columns])
         attributes[f"JOINTS_{number}"] = buffer.accessor(joints, ARRAY_BUFFER)
         attributes[f"WEIGHTS_{number}"] = buffer.accessor(weights, ARRAY_BUFFER)
+    targets = [
+        {
+            "POSITION": buffer.sparse_accessor(target.vertices, target.shifts, len(level.positions), True),
+            "NORMAL": buffer.sparse_accessor(target.vertices, target.turns, len(level.positions), False),
+        }
+        for target in level.targets
+    ]
     index_type = np.uint16 if len(level.positions) < 65535 else np.uint32
-    primitives = []
+    primitives: list[dict[str, Any]] = []
     for draw in np.unique(face_draws).tolist():
         indices = level.faces[face_draws == draw].reshape(-1).astype(index_type)
         primitives.append(
             {"attributes": attributes, "indices": buffer.accessor(indices, ELEMENT_ARRAY_BUFFER), "material": draw}
         )
+        if targets:
+            primitives[-1]["targets"] = targets
     return {"name": name, "primitives": primitives}
 
 
@@ -283,6 +354,9 @@ def describe_model(
         face_draws = draw_of_material[mesh.face_materials[lod.face_source]]
         nodes.append({"name": name, "mesh": len(meshes), "skin": 0})
         meshes.append(_describe_mesh(name, level, face_draws, buffer, second_uvs))
+        if level.targets:
+            meshes[-1]["weights"] = list(skeleton.morph_weights)
+            meshes[-1]["extras"] = {"targetNames": list(skeleton.morphs)}
     extensions = {key for material in materials for key in material.get("extensions", {})}
     if len(lods) > 1:
         nodes[first]["extensions"] = {"MSFT_lod": {"ids": list(range(first + 1, len(nodes)))}}
@@ -290,7 +364,9 @@ def describe_model(
         if coverage:
             nodes[first]["extras"] = {"MSFT_screencoverage": coverage}
         extensions.add("MSFT_lod")
-    clips = [spec for spec in (_describe_clip(clip, buffer) for clip in character.clips) if spec is not None]
+    level_nodes = range(first, len(nodes))
+    described = [_describe_clip(clip, buffer, level_nodes, skeleton.morph_weights) for clip in character.clips]
+    clips = [spec for spec in described if spec is not None]
     buffer.finish()
 
     model: dict[str, Any] = {
@@ -320,6 +396,14 @@ def _as_document(model: dict[str, Any]) -> GLTF2:
     def primitive(spec: dict[str, Any]) -> gltf.Primitive:
         return gltf.Primitive(**{**spec, "attributes": gltf.Attributes(**spec["attributes"])})
 
+    def accessor(spec: dict[str, Any]) -> gltf.Accessor:
+        if "sparse" not in spec:
+            return gltf.Accessor(**spec)
+        parts = spec["sparse"]
+        indices = gltf.AccessorSparseIndices(**parts["indices"])
+        values = gltf.AccessorSparseValues(**parts["values"])
+        return gltf.Accessor(**{**spec, "sparse": gltf.Sparse(count=parts["count"], indices=indices, values=values)})
+
     def channel(spec: dict[str, Any]) -> gltf.AnimationChannel:
         return gltf.AnimationChannel(sampler=spec["sampler"], target=gltf.AnimationChannelTarget(**spec["target"]))
 
@@ -347,12 +431,12 @@ def _as_document(model: dict[str, Any]) -> GLTF2:
         scenes=[gltf.Scene(**spec) for spec in model["scenes"]],
         nodes=[gltf.Node(**spec) for spec in model["nodes"]],
         meshes=[
-            gltf.Mesh(name=spec["name"], primitives=[primitive(one) for one in spec["primitives"]])
+            gltf.Mesh(**{**spec, "primitives": [primitive(one) for one in spec["primitives"]]})
             for spec in model["meshes"]
         ],
         skins=[gltf.Skin(**spec) for spec in model["skins"]],
         materials=[material(spec) for spec in model["materials"]],
-        accessors=[gltf.Accessor(**spec) for spec in model["accessors"]],
+        accessors=[accessor(spec) for spec in model["accessors"]],
         bufferViews=[gltf.BufferView(**spec) for spec in model["bufferViews"]],
         buffers=[gltf.Buffer(**spec) for spec in model["buffers"]],
         images=[gltf.Image(**spec) for spec in model.get("images", [])],

@@ -24,6 +24,23 @@ SAME_NORMAL = 1e-3  # normals of one point that differ less, a component, are on
 
 
 @dataclass(frozen=True)
+class LodTarget:
+    """What a morph target does to a level. N touched vertices.
+
+    Attributes
+    ----------
+    vertices : (N,) int64, rising
+    shifts : (N, 3) float32, metres
+    turns : (N, 3) float32
+        Changes of normals.
+    """
+
+    vertices: Indices
+    shifts: NDArray[np.float32]
+    turns: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
 class LodMesh:
     """Vertex attributes of a level. N vertices, F faces, K influences, a multiple of four.
 
@@ -39,6 +56,8 @@ class LodMesh:
     faces : (F, 3) int64
     tangents : (N, 4) float32 or None
         With handedness, for a tangent-space normal map.
+    targets : tuple of LodTarget
+        One a morph of the character.
     """
 
     positions: NDArray[np.float32]
@@ -50,6 +69,21 @@ class LodMesh:
     weights: NDArray[np.float32]
     faces: Indices
     tangents: NDArray[np.float32] | None = None
+    targets: tuple[LodTarget, ...] = ()
+
+
+def _level_targets(mesh: SkinnedMesh, places: Places, rows: Indices, normals: Floats) -> tuple[LodTarget, ...]:
+    """Targets of vertices that lie on the full mesh at these rows of `places`, and have these normals (N, 3)."""
+    corners, shares = mesh.surface.faces[places.faces[rows]], places.barycentrics[rows]
+    targets = []
+    for morph in mesh.morphs:
+        dense = morph.dense_rows(mesh.num_vertices)
+        found = np.einsum("nk,nkc->nc", shares, dense[corners]).reshape(-1, 3, 4)
+        shifts = found[..., 3].astype(np.float32)
+        turns = np.einsum("nij,nj->ni", found[..., :3], normals).astype(np.float32)
+        touched = np.flatnonzero(shifts.any(axis=1) | turns.any(axis=1))
+        targets.append(LodTarget(touched, shifts[touched], turns[touched]))
+    return tuple(targets)
 
 
 def _corner_normals(
@@ -166,7 +200,8 @@ def build_lod_mesh(
     order = np.lexsort((np.arange(len(owns)), ~owns, point_vertex))
     point_of_vertex = np.zeros(len(level.positions), np.int64)
     point_of_vertex[point_vertex[order[::-1]]] = order[::-1]
-    dense = _vertex_weights(mesh, num_joints, places, places.firsts[point_of_vertex])
+    vertex_rows = places.firsts[point_of_vertex]
+    dense = _vertex_weights(mesh, num_joints, places, vertex_rows)
     joints, weights = limit_influences(dense, num_influences)
 
     flat = normals.reshape(-1, 3)
@@ -194,4 +229,5 @@ def build_lod_mesh(
         weights=weights[surface_vertex].astype(np.float32),
         faces=index.reshape(-1, 3),
         tangents=None if across is None else across[corners].astype(np.float32),
+        targets=_level_targets(mesh, places, vertex_rows[surface_vertex], flat[corners]),
     )

@@ -20,6 +20,7 @@ from preprocess.arrays import Floats
 from preprocess.bake.geometry import vertex_values
 from preprocess.decimate import Lod
 from preprocess.decimate.measure import make_reference, measure
+from preprocess.fit.morph_maps import store_morphs
 from preprocess.fit.positions import fit_positions
 from preprocess.fit.spare_texels import park_vertices
 from preprocess.fit.stored_texture import StoredTexture, seam_report
@@ -31,11 +32,13 @@ from preprocess.fit.weight_quadtree import (
     pose_moves,
     sample_weights,
 )
+from preprocess.mesh.morphs import shaped_matrices, shift_vertices
 from preprocess.mesh.raster import rasterise
 from preprocess.mesh.seams import find_seams
 from preprocess.mesh.surface import SkinnedMesh
 from preprocess.mesh.texels import px_to_uv, sample_bilinear
 from preprocess.mesh.uv_lookup import locate_uvs, uv_tree
+from runtime.asset.morphs import Morphs
 from runtime.asset.weight_stack import unpack_weights
 
 log = logging.getLogger(__name__)
@@ -185,9 +188,15 @@ def _as_integers(texture: StoredTexture) -> NDArray[Any]:
 
 
 def _measured(
-    mesh: SkinnedMesh, weights: StoredTexture, lods: Sequence[Lod], allowed: Sequence[Lod], poses: Floats
+    mesh: SkinnedMesh,
+    weights: StoredTexture,
+    lods: Sequence[Lod],
+    allowed: Sequence[Lod],
+    poses: Floats,
+    morphs: Morphs | None,
+    shapes: Floats,
 ) -> tuple[Lod, ...]:
-    """Levels with the distances of what is drawn: positions and weights as they are fetched, in all poses.
+    """Levels with the distances of what is drawn: positions, weights and morphs as they are fetched, in all poses.
 
     The finest has what its vertices are off. A relaxed level's error is no less than what hides its seams, which
     decimation has said (`allowed`); and no level's is less than a finer one's.
@@ -195,14 +204,21 @@ def _measured(
     num_joints = poses.shape[1]
     stored = unpack_weights(_as_integers(weights), weights.size, num_joints)
     rows = poses[:, :, :3]
-    reference = make_reference(mesh.surface, np.einsum("vj,pjik->pvik", mesh.dense_weights(num_joints), rows))
+    blended = np.einsum("vj,pjik->pvik", mesh.dense_weights(num_joints), rows)
+    shifts = shift_vertices(mesh.morphs, shapes, mesh.num_vertices)
+    reference = make_reference(mesh.surface, np.concatenate([blended, shaped_matrices(blended[0], shifts)]))
     finished = [lods[0]]
     for lod, before in zip(lods[1:], allowed[1:], strict=True):
         uvs = lod.uvs[lod.canonical_uvs] if lod.fetch_uvs is None else lod.fetch_uvs
         drawn = (
             sample_bilinear(stored, uvs) if weights.details is None else sample_weights(stored, weights.details, uvs)
         )
-        found = measure(reference, lod, np.einsum("vj,pjik->pvik", drawn, rows))
+        blended = np.einsum("vj,pjik->pvik", drawn, rows)
+        shifts = np.zeros((len(shapes), len(uvs), 3))
+        if morphs is not None:
+            for number in np.flatnonzero(shapes.any(axis=0)).tolist():
+                shifts += shapes[:, number, None, None] * morphs.rows_at(number, uvs)[None, :, :, 3]
+        found = measure(reference, lod, np.concatenate([blended, shaped_matrices(blended[0], shifts)]))
         error_m = max(found.largest_m, finished[-1].error_m, 0.0 if lod.exact else before.error_m)
         if found.largest_m > (1.0 + LEVEL_SHARE) * max(before.error_m, lods[0].error_m):
             log.info("%d faces: %.3g m off as drawn, %.3g by decimation", lod.num_faces, error_m, before.error_m)
@@ -218,6 +234,7 @@ def fit_levels(
     poses: Floats,
     position_side: int | None = None,
     weight_side: int | None = None,
+    shapes: Floats | None = None,
 ) -> tuple[list[StoredTexture], tuple[Lod, ...]]:
     """Positions and joint weights as textures that are right at the vertices of all levels.
 
@@ -231,6 +248,8 @@ def fit_levels(
         Skinning matrices.
     position_side, weight_side : int, optional
         Texels; by default as few as are good enough.
+    shapes : (S, M) float64, optional
+        Morph weights of further shapes, in the first pose.
 
     Returns
     -------
@@ -250,6 +269,9 @@ def fit_levels(
         positions.fitted.astype(np.float32), lods, full, surface.diagonal_m, at_owners, weights.size
     )
     seam = seam_report(surface, seams, positions.baked, positions.fitted, texels)
-    position = StoredTexture("position", (texels,), "float", texels.shape[1::-1], seam)
+    shapes = np.zeros((0, len(mesh.morphs))) if shapes is None else shapes
+    located = [(owner.corners, owner.barycentrics) for owner in owners]
+    morphs = store_morphs(mesh, fitted, located, texels.shape[1::-1])
+    position = StoredTexture("position", (texels,), "float", texels.shape[1::-1], seam, morphs=morphs)
     weights = _detail(weights, mesh, fitted, owners, poses)
-    return [position, weights], _measured(mesh, weights, fitted, lods, poses)
+    return [position, weights], _measured(mesh, weights, fitted, lods, poses, morphs, shapes)

@@ -12,6 +12,7 @@ from preprocess.arrays import Floats
 from preprocess.erase import SeamMeasure, measure_seams
 from preprocess.mesh.seams import Seams
 from preprocess.mesh.surface import TexturedSurface
+from runtime.asset.morphs import Morphs
 from runtime.asset.weight_quadtree import WeightDetails
 
 
@@ -35,6 +36,8 @@ class StoredTexture:
         More keys for the manifest.
     details : WeightDetails or None
         Of joint weights: where they are finer than their map.
+    morphs : Morphs or None
+        Of positions: how morph targets displace them.
     """
 
     name: str
@@ -44,6 +47,7 @@ class StoredTexture:
     seam: dict[str, Any]
     extra: dict[str, Any] = field(default_factory=dict)
     details: WeightDetails | None = None
+    morphs: Morphs | None = None
 
 
 def jump(measure: SeamMeasure) -> dict[str, float]:

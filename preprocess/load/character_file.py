@@ -16,7 +16,7 @@ from preprocess.load.materials import note_missing_texcoords, read_materials
 from preprocess.load.mirrored import show_both_sides
 from preprocess.load.scene import read_scene
 from preprocess.load.unify import unify
-from runtime.animation.clip import Clip, read_clips
+from runtime.animation.clip import WEIGHTS, Clip, read_clips
 from runtime.animation.skeleton import distinct_names, read_skeleton
 from runtime.errors import AssetError
 from runtime.gltf.document import Document, read_document
@@ -55,9 +55,10 @@ SUPPORTED_EXTENSIONS = (
 
 
 def _dropped_channels(document: Document, clips: tuple[Clip, ...]) -> list[str]:
-    """What the file's animations move and the clips do not: morph weights, cameras, lights, other extensions."""
-    channels = sum(len(clip.get("channels", [])) for clip in document.items("animations"))
-    kept = sum(len(clip.tracks) for clip in clips)
+    """What the file's animations move and the clips do not: cameras, lights, other extensions."""
+    paths = [one.get("target", {}).get("path") for a in document.items("animations") for one in a.get("channels", [])]
+    channels = sum(path != WEIGHTS for path in paths)
+    kept = sum(track.path != WEIGHTS for clip in clips for track in clip.tracks)
     return [f"{channels - kept} animation channels dropped: they move no joint"] if kept < channels else []
 
 
@@ -66,7 +67,7 @@ def _distinct_clips(clips: tuple[Clip, ...], warnings: list[str]) -> tuple[Clip,
     moving = [clip for clip in clips if clip.tracks]
     still = [clip.name for clip in clips if not clip.tracks]
     if still:
-        warnings.append(f"{len(still)} clips left out (the first: {still[0]!r}): they move no joint")
+        warnings.append(f"{len(still)} clips left out (the first: {still[0]!r}): they move no joint and no morph")
     names = distinct_names([clip.name for clip in moving])
     changed = [(clip.name, name) for clip, name in zip(moving, names) if clip.name != name]
     if changed:
@@ -90,7 +91,11 @@ def _load(document: Document) -> Character:
     )
     mesh.validate()
     warnings += note_missing_texcoords(materials, mesh)
-    skeleton = read_skeleton(document, scene.joint_nodes.tolist(), scene.inverse_bind)
+    skeleton = dataclasses.replace(
+        read_skeleton(document, scene.joint_nodes.tolist(), scene.inverse_bind),
+        morphs=tuple(scene.morphs),
+        morph_weights=tuple(scene.morphs.values()),
+    )
     faults: list[str] = []
     clips = read_clips(document, skeleton, faults=faults)
     warnings += [fault.replace(f"{document.path}: ", "") for fault in faults]

@@ -14,9 +14,28 @@ from numpy.typing import NDArray
 from preprocess.arrays import Floats
 from preprocess.errors import InputError
 from runtime.gltf.document import Document
+from runtime.gltf.morph_names import MAX_TARGETS
 
 POINTS, TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 0, 4, 5, 6
+FARTHEST = 1e9  # that a target may move anything
 MAX_SETS = 8  # TEXCOORD_n and JOINTS_n beyond this are taken for damage
+
+
+@dataclass(frozen=True)
+class Target:
+    """A morph target of a primitive, where it does anything. N touched source vertices.
+
+    Attributes
+    ----------
+    vertices : (N,) int64
+    shifts : (N, 3) float64, metres, mesh space
+    turns : (N, 3) float64
+        What is added to unit normals.
+    """
+
+    vertices: NDArray[np.int64]
+    shifts: Floats
+    turns: Floats
 
 
 @dataclass(frozen=True)
@@ -37,6 +56,7 @@ class Primitive:
     weights : (N, K) float64 or None
         As stored: neither normalised nor clipped.
     material : int or None
+    targets : tuple of Target
     """
 
     faces: NDArray[np.int64]
@@ -48,6 +68,7 @@ class Primitive:
     joints: NDArray[np.int64] | None
     weights: Floats | None
     material: int | None
+    targets: tuple[Target, ...] = ()
 
 
 def _attribute(
@@ -94,33 +115,43 @@ def _read_faces(
     return _triangles(mode, indices)
 
 
-def _blend_targets(
-    document: Document,
-    spec: dict[str, Any],
-    weights: list[float],
-    positions: Floats,
-    normals: Floats | None,
-    where: str,
-) -> tuple[Floats, Floats | None]:
-    """Positions and normals with the default weights of the morph targets applied."""
-    for target, weight in zip(spec["targets"], weights):
-        if not weight:
-            continue
-        shift = _attribute(document, target, "POSITION", len(positions), (3,), where)
-        if shift is not None:
-            positions = positions + weight * shift.astype(np.float64)
-        turn = _attribute(document, target, "NORMAL", len(positions), (3,), where)
-        if turn is not None and normals is not None:
-            normals = normals + weight * turn.astype(np.float64)
-    return positions, normals
-
-
 def _unit(vectors: Floats) -> Floats:
     """Unit vectors; NaN where the length is zero or not finite."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         units: Floats = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
     units[~np.isfinite(units).all(axis=1)] = np.nan
     return units
+
+
+def _read_targets(
+    document: Document, spec: dict[str, Any], count: int, lengths: Floats | None, where: str, warnings: list[str]
+) -> tuple[Target, ...]:
+    """Morph targets of a primitive whose normals, where it has any, were of these lengths (N,)."""
+    listed = spec.get("targets", [])
+    if len(listed) > MAX_TARGETS:
+        raise InputError(f"{where} has {len(listed)} morph targets, {MAX_TARGETS} at most are read: export fewer")
+    targets, num_bad = [], 0
+    for number, attributes in enumerate(listed):
+        place = f"{where}, target {number}"
+        for name in ("POSITION", "NORMAL"):  # before anything of that length is made
+            entries = document.item("accessors", attributes[name]).get("count") if name in attributes else count
+            if entries != count:
+                raise InputError(f"{place}: {name} has {entries} entries for {count} vertices: export the file again")
+        rows = np.zeros((count, 6))
+        shifts = _attribute(document, attributes, "POSITION", count, (3,), place)
+        turns = _attribute(document, attributes, "NORMAL", count, (3,), place) if lengths is not None else None
+        if shifts is not None:
+            rows[:, :3] = shifts
+        if turns is not None and lengths is not None:
+            rows[:, 3:] = turns / np.maximum(lengths, 1e-30)[:, None]
+        bad = ~(np.abs(rows) <= FARTHEST).all(axis=1)
+        num_bad += int(bad.sum())
+        rows[bad] = 0.0
+        used = np.flatnonzero(rows.any(axis=1))
+        targets.append(Target(used, rows[used, :3], rows[used, 3:]))
+    if num_bad:
+        warnings.append(f"{where}: {num_bad} entries of morph targets are not finite: they move nothing")
+    return tuple(targets)
 
 
 def _numbered(
@@ -161,9 +192,7 @@ def _read_texcoords(
     return texcoords
 
 
-def read_primitive(
-    document: Document, spec: dict[str, Any], morph_weights: list[float], where: str
-) -> tuple[Primitive | None, list[str]]:
+def read_primitive(document: Document, spec: dict[str, Any], where: str) -> tuple[Primitive | None, list[str]]:
     """Decode one primitive.
 
     Parameters
@@ -171,8 +200,6 @@ def read_primitive(
     document : Document
     spec : dict
         The primitive's JSON.
-    morph_weights : list of float
-        Default weights of the morph targets; they are applied once, then the targets are dropped.
     where : str
         How messages name the primitive.
 
@@ -210,9 +237,8 @@ def read_primitive(
 
     raw_normals = _attribute(document, attributes, "NORMAL", count, (3,), where)
     normals = None if raw_normals is None else raw_normals.astype(np.float64)
-    if spec.get("targets"):
-        warnings.append(f"{where}: {len(spec['targets'])} morph targets dropped")
-        positions, normals = _blend_targets(document, spec, morph_weights, positions, normals, where)
+    lengths = None if normals is None else np.linalg.norm(normals, axis=1)
+    targets = _read_targets(document, spec, count, lengths, where, warnings)
     check_positions(positions[np.unique(faces)], document.limits.number, where)
     tangents = _attribute(document, attributes, "TANGENT", count, (4,), where)
     colors = _attribute(document, attributes, "COLOR_0", count, (3, 4), where)
@@ -236,6 +262,7 @@ def read_primitive(
         joints=np.concatenate(joints, axis=1) if joints else None,
         weights=np.concatenate(weights, axis=1).astype(np.float64) if weights else None,
         material=spec.get("material"),
+        targets=targets,
     )
     return _without_unused(primitive), warnings
 
@@ -260,6 +287,13 @@ def _without_unused(primitive: Primitive) -> Primitive:
     if len(used) == len(primitive.positions):
         return primitive
     arrays = ("positions", "normals", "tangents", "texcoords", "colors", "joints", "weights")
-    values = {name: getattr(primitive, name) for name in arrays}
+    values: dict[str, Any] = {name: getattr(primitive, name) for name in arrays}
     kept: dict[str, Any] = {name: None if array is None else array[used] for name, array in values.items()}
-    return replace(primitive, faces=corners.reshape(-1, 3), **kept)
+    number = np.full(len(primitive.positions), -1)
+    number[used] = np.arange(len(used))
+    targets = []
+    for target in primitive.targets:
+        rows = number[target.vertices]
+        here = rows >= 0
+        targets.append(Target(rows[here], target.shifts[here], target.turns[here]))
+    return replace(primitive, faces=corners.reshape(-1, 3), targets=tuple(targets), **kept)

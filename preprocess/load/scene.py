@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from preprocess.arrays import Floats
 from preprocess.errors import InputError
 from preprocess.load.binding import JointList, moments_of, place_rigid, place_skin
-from preprocess.load.primitives import Primitive, check_positions, read_primitive
+from preprocess.load.primitives import Primitive, Target, check_positions, read_primitive
 from runtime.animation.pose import global_transforms, rest_pose
 from runtime.animation.skeleton import read_skeleton
 from runtime.gltf.document import Document
+from runtime.gltf.morph_names import default_weights, morph_names
 
 ZERO_SCALE = 1e-6  # rest scales below this hide a part; it is placed as if they were one
 
@@ -45,6 +46,10 @@ class Part:
         Rows sum to one.
     faces : (F, 3) int64
         Turned over where the placement mirrors.
+    targets : tuple of Target
+        In object space.
+    morph_names : tuple of str
+        Of each target: parts may share a morph.
     """
 
     source: Primitive
@@ -56,6 +61,8 @@ class Part:
     joints: NDArray[np.int64]
     weights: Floats
     faces: NDArray[np.int64]
+    targets: tuple[Target, ...] = ()
+    morph_names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -67,12 +74,14 @@ class Scene:
     parts : tuple of Part
     joint_nodes : (J,) int64, node indices of the file
     inverse_bind : (J, 4, 4) float64
+    morphs : dict of name to weight at rest
     warnings : tuple of str
     """
 
     parts: tuple[Part, ...]
     joint_nodes: NDArray[np.int64]
     inverse_bind: Floats
+    morphs: dict[str, float]
     warnings: tuple[str, ...]
 
 
@@ -169,7 +178,7 @@ def _read_instances(document: Document, warnings: list[str]) -> list[_Instance]:
             continue
         mesh = spec["mesh"]
         if mesh not in meshes:
-            meshes[mesh] = _read_mesh(document, mesh, spec, warnings)
+            meshes[mesh] = _read_mesh(document, mesh, warnings)
         skin = spec.get("skin")
         instances += [_Instance(node, skin, primitive, where) for primitive, where in meshes[mesh]]
         num_faces += sum(len(primitive.faces) for primitive, _ in meshes[mesh])
@@ -192,15 +201,13 @@ def _lower_levels(document: Document, roots: list[int]) -> set[int]:
     return set(_nodes_below(document, levels))
 
 
-def _read_mesh(
-    document: Document, index: Any, node: dict[str, Any], warnings: list[str]
-) -> list[tuple[Primitive, str]]:
+def _read_mesh(document: Document, index: Any, warnings: list[str]) -> list[tuple[Primitive, str]]:
     mesh = document.item("meshes", index)
     name = str(mesh.get("name") or f"mesh {index}")
     found = []
     for number, spec in enumerate(mesh.get("primitives", [])):
         where = f"{document.path.name}: {name}, primitive {number}"
-        primitive, notes = read_primitive(document, spec, node.get("weights", mesh.get("weights", [])), where)
+        primitive, notes = read_primitive(document, spec, where)
         warnings += [note.removeprefix(f"{document.path.name}: ") for note in notes]
         if primitive is not None:
             found.append((primitive, where))
@@ -240,7 +247,25 @@ def _clean_weights(instance: _Instance, num_joints: int, warnings: list[str]) ->
     return joints, weights / sums[:, None]
 
 
-def _place(instance: _Instance, placement: Floats, joints: NDArray[np.int64], weights: Floats, most: float) -> Part:
+def _place_target(target: Target, normals: Floats | None, linear: Floats) -> Target:
+    """A target in object space: shifts by the placement's linear part, turns by its inverse transpose.
+
+    Normals are made unit there: what is added to them shrinks by as much.
+    """
+    turns = target.turns @ np.linalg.inv(linear)
+    if normals is not None:
+        turns /= np.linalg.norm(normals[target.vertices] @ np.linalg.inv(linear), axis=1, keepdims=True)
+    return Target(target.vertices, target.shifts @ linear.T, np.nan_to_num(turns))
+
+
+def _place(
+    instance: _Instance,
+    placement: Floats,
+    joints: NDArray[np.int64],
+    weights: Floats,
+    most: float,
+    morph_names: tuple[str, ...],
+) -> Part:
     """A part in object space: positions by the placement, normals by its inverse transpose."""
     primitive = instance.primitive
     identity = bool((placement == np.eye(4)).all())
@@ -267,6 +292,8 @@ def _place(instance: _Instance, placement: Floats, joints: NDArray[np.int64], we
         joints=joints,
         weights=weights,
         faces=primitive.faces[:, [0, 2, 1]] if mirrored else primitive.faces,
+        targets=tuple(_place_target(target, primitive.normals, linear) for target in primitive.targets),
+        morph_names=morph_names[: len(primitive.targets)],
     )
 
 
@@ -324,6 +351,18 @@ class _Binder:
         return placement, self._add_joint(node, inverse)
 
 
+def _rest_weights(
+    document: Document, instances: list[_Instance], names: dict[int, tuple[str, ...]]
+) -> dict[str, float]:
+    """The scene's morphs, in the order in which they come, with their weights at rest."""
+    found: dict[str, float] = {}
+    for node in dict.fromkeys(instance.node for instance in instances):
+        if node in names:
+            for name, weight in zip(names[node], default_weights(document, document.item("nodes", node))):
+                found.setdefault(name, weight)
+    return found
+
+
 def read_scene(document: Document) -> Scene:
     """Read, bind and place everything with a mesh in the default scene.
 
@@ -343,6 +382,7 @@ def read_scene(document: Document) -> Scene:
         )
     binder.size_m = max(float(np.nanmax(np.abs(instance.primitive.positions))) for instance in instances)
 
+    names = morph_names(document)
     skinned: dict[int, list[tuple[_Instance, NDArray[np.int64], Floats]]] = {}
     skins: dict[int, _Skin] = {}
     for instance in instances:
@@ -360,17 +400,26 @@ def read_scene(document: Document) -> Scene:
             total += moments_of(instance.primitive.positions, joints, weights, len(skin.nodes))
         placement, to_joint = binder.add_skin(skin, members[0][0].node, total)
         for instance, joints, weights in members:
-            placed[id(instance)] = _place(instance, placement, to_joint[joints], weights, document.limits.number)
+            names_here = names.get(instance.node, ())
+            placed[id(instance)] = _place(
+                instance, placement, to_joint[joints], weights, document.limits.number, names_here
+            )
     for instance in instances:
         if id(instance) not in placed:
             placement, joint = binder.add_rigid(instance.node)
             count = len(instance.primitive.positions)
             placed[id(instance)] = _place(
-                instance, placement, np.full((count, 1), joint, np.int64), np.ones((count, 1)), document.limits.number
+                instance,
+                placement,
+                np.full((count, 1), joint, np.int64),
+                np.ones((count, 1)),
+                document.limits.number,
+                names.get(instance.node, ()),
             )
     return Scene(
         parts=tuple(placed[id(instance)] for instance in instances),
         joint_nodes=np.array(binder.joints.nodes, np.int64),
         inverse_bind=np.stack(binder.joints.inverse_binds),
+        morphs=_rest_weights(document, instances, names),
         warnings=tuple(warnings),
     )

@@ -15,6 +15,7 @@ from preprocess.arrays import Floats, Indices
 from preprocess.errors import InputError
 from preprocess.load.character import Material
 from preprocess.load.manifold import Manifold, make_manifold
+from preprocess.load.primitives import Target
 from preprocess.load.scene import Part, Scene
 from preprocess.load.weld import (
     Soup,
@@ -27,6 +28,7 @@ from preprocess.load.weld import (
 from preprocess.mesh.corner_normals import CREASE_RAD, smooth_corner_normals
 from preprocess.mesh.face_geometry import face_normals
 from preprocess.mesh.grouping import group_rows
+from preprocess.mesh.morphs import Morph, vertex_turns
 from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
 
 log = logging.getLogger(__name__)
@@ -74,7 +76,24 @@ def _stack_parts(parts: tuple[Part, ...], material_index: dict[int | None, int])
         face_materials=np.repeat(
             [material_index[part.source.material] for part in parts], [len(part.faces) for part in parts]
         ),
+        targets=_stack_targets(parts, starts),
     )
+
+
+def _stack_targets(parts: tuple[Part, ...], starts: NDArray[np.integer]) -> dict[str, Target]:
+    """Targets of all parts, by morph."""
+    found: dict[str, list[Target]] = {}
+    for part, start in zip(parts, starts.tolist()):
+        for name, target in zip(part.morph_names, part.targets):
+            found.setdefault(name, []).append(dataclasses.replace(target, vertices=target.vertices + start))
+    return {
+        name: Target(
+            np.concatenate([target.vertices for target in targets]),
+            np.concatenate([target.shifts for target in targets]),
+            np.concatenate([target.turns for target in targets]),
+        )
+        for name, targets in found.items()
+    }
 
 
 def _remove_duplicates(
@@ -146,7 +165,9 @@ def _usable_tangents(own: Floats) -> Floats | None:
     return np.where(usable[..., None], np.concatenate([own[..., :3], handedness], axis=2), np.nan)
 
 
-def _build_mesh(soup: Soup, welded: Welded, manifold: Manifold, warnings: list[str]) -> SkinnedMesh:
+def _build_mesh(
+    soup: Soup, welded: Welded, manifold: Manifold, defaults: dict[str, float], warnings: list[str]
+) -> SkinnedMesh:
     """Arrays a corner and a vertex, in the order of the manifold."""
     corner_sources = np.take_along_axis(soup.faces, manifold.corners, axis=1)
     firsts = welded.vertex_firsts[manifold.vertex_origin]
@@ -172,7 +193,7 @@ def _build_mesh(soup: Soup, welded: Welded, manifold: Manifold, warnings: list[s
     if soup.tangents is not None:
         tangents = soup.tangents[corner_sources]
         tangents[manifold.corners[:, 1] == 2, :, 3] *= -1
-    return SkinnedMesh(
+    mesh = SkinnedMesh(
         surface=surface,
         corner_normals=corner_normals,
         corner_tangents=None if tangents is None else _usable_tangents(tangents),
@@ -185,6 +206,45 @@ def _build_mesh(soup: Soup, welded: Welded, manifold: Manifold, warnings: list[s
         has_uvs=bool(has_uvs.all()),
         face_num_texcoords=soup.num_texcoords[soup.faces[:, 0]].astype(np.int32),
     )
+    return dataclasses.replace(mesh, morphs=_build_morphs(soup, defaults, firsts, corner_sources, mesh))
+
+
+def _kept_target(target: Target, used: Indices, renumber: Indices) -> Target:
+    """A target of the vertices that are used, under their new numbers."""
+    kept = np.isin(target.vertices, used)
+    return Target(renumber[target.vertices[kept]], target.shifts[kept], target.turns[kept])
+
+
+def _build_morphs(
+    soup: Soup, defaults: dict[str, float], firsts: Indices, corner_sources: Indices, mesh: SkinnedMesh
+) -> tuple[Morph, ...]:
+    """Morphs of the mesh's vertices, whose source vertices are `firsts`, and its corners' `corner_sources`.
+
+    Where the file has no normals they are made of the positions, and so are those of the morphed surface.
+    """
+    surface, morphs = mesh.surface, []
+    faces = surface.faces.astype(np.int64)
+    corner_vertices = faces.reshape(-1)
+    sources = corner_sources.reshape(-1)
+    normals = mesh.corner_normals.reshape(-1, 3)
+    missing = np.isnan(soup.normals[sources]).any(axis=1)
+    turned = (np.einsum("nc,nc->n", np.nan_to_num(soup.normals[sources]), normals) < 0)[:, None]
+    for name, default in defaults.items():
+        target = soup.targets.get(name, Target(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3))))
+        rows = np.zeros((len(soup.positions), 6))
+        rows[target.vertices, :3], rows[target.vertices, 3:] = target.shifts, target.turns
+        shifts = rows[firsts, :3]
+        changes = np.where(turned, -rows[sources, 3:], rows[sources, 3:])
+        if missing.any():
+            moved = smooth_corner_normals(surface.positions + shifts, faces).reshape(-1, 3)
+            changes[missing] = moved[missing] - normals[missing]
+        is_touched = np.zeros(len(firsts), bool)
+        is_touched[faces[np.asarray(np.abs(shifts[faces]).max(axis=(1, 2)) > 0)]] = True  # elsewhere turns are noise
+        vertices = np.flatnonzero(is_touched)
+        own = is_touched[corner_vertices]
+        turns = vertex_turns(normals[own], changes[own], corner_vertices[own], vertices)
+        morphs.append(Morph(name, default, vertices, shifts[vertices], turns))
+    return tuple(morphs)
 
 
 def _without_unused(soup: Soup, used: Indices) -> Soup:
@@ -202,6 +262,7 @@ def _without_unused(soup: Soup, used: Indices) -> Soup:
         joints=soup.joints[used],
         weights=soup.weights[used],
         faces=renumber[soup.faces],
+        targets={name: _kept_target(target, used, renumber) for name, target in soup.targets.items()},
     )
 
 
@@ -251,4 +312,4 @@ def unify(
         soup.face_parts,
     )
     _report_manifold(manifold, warnings)
-    return _build_mesh(soup, welded, manifold, warnings), materials
+    return _build_mesh(soup, welded, manifold, scene.morphs, warnings), materials

@@ -1,25 +1,28 @@
 """Parts into one indexed surface: vertices that are one point of the character become one vertex.
 
 A file repeats a vertex wherever a uv seam, a hard edge, a material or a primitive ends. Two copies are one point if
-they lie together (equal, or within WELD_REL of the character's size) and hang on the same joints with the same
-weights (to SAME_WEIGHT), so that no pose parts them; other copies, as where a rigid part only touches the body, stay
-apart. What makes copies differ otherwise stays where it belongs: uvs become texture vertices of the surface vertex,
-normals corner values. Faces that have lost their area go, and so do faces drawn twice.
+they lie together (equal, or within WELD_REL of the character's size), hang on the same joints with the same weights (to
+SAME_WEIGHT) and move together in every morph target, so that nothing parts them; other copies, as where a rigid part
+only touches the body, stay apart. What makes copies differ otherwise stays where it belongs: uvs become texture
+vertices of the surface vertex, normals corner values. Faces that have lost their area go, and so do faces drawn twice.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.arrays import Floats, Indices
+from preprocess.load.primitives import Target
 from preprocess.mesh.face_geometry import face_areas
 from preprocess.mesh.grouping import cluster_points, group_rows
 
 WELD_REL = 1e-6  # of the bounding diagonal: some ten roundings of a float32 position
 WELD_UV = 1e-6  # 1/1000 of a texel at 1024²
+SAME_SHIFT_REL = 1e-5  # of the bounding diagonal: copies that a morph target moves further apart are two points
 SAME_WEIGHT = 1e-5  # normalising copies one by one leaves about 1e-7; a joint that moves by 1 m moves this by 10 um
 FLAT_REL = 1e-7  # a face lower than this, of the bounding diagonal, has no area
 
@@ -41,6 +44,8 @@ class Soup:
     weights : (N, K) float64
     faces : (F, 3) int64
     face_parts, face_materials : (F,) int64
+    targets : dict of morph name to Target
+        Of all parts together.
     """
 
     positions: Floats
@@ -54,6 +59,7 @@ class Soup:
     faces: Indices
     face_parts: Indices
     face_materials: Indices
+    targets: dict[str, Target] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -128,6 +134,25 @@ def _weight_labels(point: Indices, joints: NDArray[np.int64], weights: Floats) -
     return labels
 
 
+def _part_moved_copies(vertex_of: Indices, targets: Iterable[Target], tolerance_m: float) -> Indices:
+    """Labels (N,) like those given, but copies that a target moves apart, as lips that open, have other ones."""
+    labels = vertex_of.copy()
+    for target in targets:
+        shifts = np.zeros((len(labels), 3))
+        shifts[target.vertices] = target.shifts
+        touched = np.zeros(int(labels.max(initial=0)) + 1, bool)
+        touched[labels[target.vertices]] = True
+        rows = np.flatnonzero(touched[labels] & (np.bincount(labels)[labels] > 1))
+        for axis in range(3):
+            order = rows[np.lexsort((shifts[rows, axis], labels[rows]))]
+            label, along = labels[order], shifts[order, axis]
+            apart = np.r_[False, (label[1:] == label[:-1]) & (np.diff(along) > tolerance_m)]
+            if apart.any():  # within a run of one label, the copies from a gap on are others
+                runs = np.cumsum(np.r_[False, label[1:] != label[:-1]] | apart)
+                labels[order] = int(labels.max()) + 1 + runs
+    return labels
+
+
 def weld_vertices(soup: Soup, diagonal_m: float) -> Welded:
     """Find which source vertices are one surface vertex, and which uvs are one value.
 
@@ -139,6 +164,9 @@ def weld_vertices(soup: Soup, diagonal_m: float) -> Welded:
     """
     point, point_firsts = cluster_points(soup.positions, WELD_REL * diagonal_m)
     vertex_of, vertex_firsts = group_rows(point, *_weight_labels(point, soup.joints, soup.weights))
+    if soup.targets:
+        moved = _part_moved_copies(vertex_of, soup.targets.values(), SAME_SHIFT_REL * diagonal_m)
+        vertex_of, vertex_firsts = group_rows(moved)
     uvs = soup.texcoords[:, 0] if soup.texcoords.shape[1] else np.zeros((len(point), 2))
     uv_of, uv_firsts = cluster_points(uvs, WELD_UV)
     return Welded(vertex_of, vertex_firsts, uv_of, uv_firsts, len(vertex_firsts) - len(point_firsts))

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.arrays import Floats, Ints
+from preprocess.mesh.morphs import Morph
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,8 @@ class SkinnedMesh:
         Which primitive of the file a face came from.
     has_uvs : bool
         Whether every face came with texture coordinates.
+    morphs : tuple of Morph
+        Blend shapes, relative to `surface`.
     face_num_texcoords : (F,) int32 or None
         How many of the L sets each face came with; its others are zeros and mean nothing. None: all.
     """
@@ -95,6 +98,7 @@ class SkinnedMesh:
     face_materials: Ints
     face_parts: Ints
     has_uvs: bool
+    morphs: tuple[Morph, ...] = ()
     face_num_texcoords: Ints | None = None
 
     @property
@@ -139,4 +143,8 @@ class SkinnedMesh:
         assert len(self.joint_indices) == num_vertices
         assert (self.joint_weights >= 0).all()
         assert np.allclose(self.joint_weights.sum(axis=1), 1.0, atol=1e-6)
+        for morph in self.morphs:
+            assert morph.shifts.shape == (len(morph.vertices), 3) and morph.turns.shape == (len(morph.vertices), 3, 3)
+            assert np.isfinite(morph.shifts).all() and np.isfinite(morph.turns).all()
+            assert not len(morph.vertices) or 0 <= morph.vertices.min() <= morph.vertices.max() < num_vertices
         assert self.face_materials.shape == self.face_parts.shape == (num_faces,)

@@ -113,6 +113,7 @@ def straighten(
     keep_packing: bool = True,
     gap_uv: float = DEFAULT_GAP_UV,
     most_distortion: float = DEFAULT_DISTORTION,
+    most_rounds: int = MOST_ROUNDS,
 ) -> Straightened:
     """Make seams and boundaries straight where they nearly are, equally on both sides.
 
@@ -129,6 +130,8 @@ def straighten(
         Least distance between two charts that is kept then, or what the layout has where that is less.
     most_distortion : float
         Bound of |J|² / (2 det J) of every face against its shape before, 1 and up; 4 is a stretch of about 8 to 1.
+    most_rounds : int
+        Of halving tolerances; what is then still at fault stays as it was.
 
     Returns
     -------
@@ -165,7 +168,7 @@ def straighten(
     kept, fractions = np.ones(len(joint), bool), np.zeros(len(joint))
     pending = np.ones(chains.num_chains, bool)
     guess = surface.uvs
-    for round_number in range(MOST_ROUNDS):
+    for round_number in range(most_rounds):
         kept, fractions = simplify_chains(chains, joint, limits, must_keep, kept, fractions, pending)
         moved = straight_points(joint, kept, fractions)
         spoiled = find_crossing_points(chains, joint, moved, kept, apartness)
@@ -180,8 +183,8 @@ def straighten(
         reduced |= spoiled
         must_keep = must_keep | (spoiled & (tightened >= limits))
         limits = tightened
-        if round_number >= MOST_ROUNDS - LAST_ROUNDS:
-            must_keep |= spoiled if round_number < MOST_ROUNDS - 2 else ~kept
+        if round_number >= most_rounds - LAST_ROUNDS:
+            must_keep |= spoiled if round_number < most_rounds - 2 else ~kept
         pending = np.zeros(chains.num_chains, bool)
         pending[chains.point_chains[spoiled]] = True
     reduced_ids = chains.uv_ids[reduced]

@@ -76,6 +76,7 @@ def mix_poses(
         np.zeros((3, nodes, num_actors), dtype).T,
         np.zeros((4, nodes, num_actors), dtype).T,
         np.zeros((3, nodes, num_actors), dtype).T,
+        np.zeros((len(skeleton.morphs), num_actors), dtype).T if skeleton.morphs else None,
     )
     for actors, weights, pose in parts:
         # Entries of one actor are taken one after another, so that each aligns with the sum so far.
@@ -88,12 +89,17 @@ def mix_poses(
             mixed.rotation[who] += np.where(along < 0, -weight, weight) * rotation
             mixed.translation[who] += weight * pose.translation[entry]
             mixed.scale[who] += weight * pose.scale[entry]
+            if mixed.weights is not None and pose.weights is not None:
+                mixed.weights[who] += weight[:, :, 0] * pose.weights[entry]
             totals[who] += weights[entry]
     silent = totals <= 0
     share = (1.0 / np.where(silent, 1.0, totals)).astype(dtype)[:, None, None]
     mixed.translation[:] *= share
     mixed.scale[:] *= share
     mixed.rotation[:] = _normalised(mixed.rotation)
+    if mixed.weights is not None:
+        mixed.weights[:] *= share[:, :, 0]
+        mixed.weights[silent] = np.array(skeleton.morph_weights, dtype)
     if silent.any():
         mixed.translation[silent] = skeleton.translation.astype(dtype)
         mixed.rotation[silent] = skeleton.rotation.astype(dtype)
@@ -139,6 +145,8 @@ def overlay_pose(
     mixed = _normalised(below + part * (towards - below))
     # A node that the layer does not touch keeps its very bits.
     pose.rotation[actors] = np.where(part > 0, mixed, below)
+    if pose.weights is not None and above.weights is not None and mask is None:  # a mask of nodes leaves faces alone
+        pose.weights[actors] += amount.astype(pose.dtype)[:, None] * (above.weights - pose.weights[actors])
 
 
 def add_pose(
@@ -151,7 +159,8 @@ def add_pose(
 ) -> None:
     """Add to a pose, in place, what another does relative to its reference.
 
-    Translations are added, scales multiplied, rotations applied after the pose's own in the node's own frame.
+    Translations and morph weights are added, scales multiplied, rotations applied after the pose's own in
+    the node's own frame.
 
     Parameters
     ----------
@@ -168,3 +177,5 @@ def add_pose(
     inverse = reference.rotation * np.array([-1, -1, -1, 1], dtype=pose.dtype)
     added = _power(_product(inverse, above.rotation), part)
     pose.rotation[actors] = _normalised(_product(pose.rotation[actors], added))
+    if pose.weights is not None and above.weights is not None and reference.weights is not None:
+        pose.weights[actors] += amount.astype(pose.dtype)[:, None] * (above.weights - reference.weights)

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from runtime.animation.clip import Clip
+from runtime.animation.clip import WEIGHTS, Clip
 from runtime.animation.keyframes import Bank, locate
 from runtime.animation.pose import sample, skinning_rows
 from runtime.animation.skeleton import Skeleton
@@ -84,6 +84,40 @@ def joint_boxes(
     return boxes
 
 
+def reaches_of(weights: Floats, reaches: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far morphs of these weights (A, M) move what each joint carries: least and greatest shift, (A, J, 2, 3).
+
+    reaches : (M, J, 2, 3), of weight one
+    """
+    swapped = reaches[:, :, ::-1]  # a negative weight turns the greatest shift into the least
+    up, down = np.maximum(weights, 0.0), np.minimum(weights, 0.0)
+    return np.asarray(np.tensordot(up, reaches, 1) + np.tensordot(down, swapped, 1))
+
+
+def weight_ranges(clip: Clip, skeleton: Skeleton) -> NDArray[np.float64]:
+    """Least and greatest weight of each morph in a clip, (2, M). Cubic keys stay within their Bezier points."""
+    ranges = np.repeat(np.array([skeleton.morph_weights], np.float64), 2, axis=0)
+    for track in clip.tracks:
+        if track.path == WEIGHTS:
+            values = track.values
+            if track.interpolation == "CUBICSPLINE":
+                thirds = np.diff(track.times)[:, None] / 3
+                leaving = values[:-1, 1] + thirds * values[:-1, 2]
+                arriving = values[1:, 1] - thirds * values[1:, 0]
+                values = np.concatenate([values[:, 1], leaving, arriving])
+            ranges[:, track.node] = values.min(), values.max()
+    return ranges
+
+
+def grown_boxes(
+    boxes: NDArray[np.float64], reaches: NDArray[np.float64], ranges: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Boxes of joints (J, 2, 3) that hold what they carry while morph weights stay within ranges (2, M)."""
+    shifts = ranges[:, :, None, None, None] * reaches  # least and greatest weight, morph, joint, both ends, xyz
+    least, greatest = shifts.min(axis=(0, 3)).sum(axis=0), shifts.max(axis=(0, 3)).sum(axis=0)
+    return np.stack([boxes[:, 0] + least, boxes[:, 1] + greatest], axis=1)
+
+
 def stored_joint_boxes(stored: Sequence[NDArray[np.float64] | None], whole: NDArray[np.float64]) -> NDArray[np.float64]:
     """Joint boxes (J, 2, 3) as a built character has them: +inf, -inf for None, a joint that moves nothing.
 
@@ -100,9 +134,11 @@ class JointBoxes:
     ----------
     boxes : (J, 2, 3) float64
         From `joint_boxes`.
+    reaches : (M, J, 2, 3) float64, optional
+        How far each morph of weight one moves what each joint carries: least and greatest shift.
     """
 
-    def __init__(self, boxes: NDArray[np.float64]) -> None:
+    def __init__(self, boxes: NDArray[np.float64], reaches: NDArray[np.float64] | None = None) -> None:
         self.boxes = boxes
         self.used = np.flatnonzero(np.isfinite(boxes).all(axis=(1, 2)))
         # Where a joint's 3 x 4 words lie in a pose. Joints come last in all that follows: inner loops are long then.
@@ -112,9 +148,21 @@ class JointBoxes:
         factors[0, 3] = 1.0
         factors[1, :3] = boxes[self.used].mean(axis=1).T
         self._exact, self._single = factors, factors.astype(np.float32)
+        self._reaches = None if reaches is None or not len(reaches) else reaches[:, self.used]
 
-    def carried(self, matrices: Floats) -> Floats:
+    def _grown(self, weights: Floats) -> tuple[Floats, Floats]:
+        """The factors of each of A actors whose morphs have weights (A, M): (A, 1, 4, P) each."""
+        assert self._reaches is not None
+        shifts = reaches_of(weights, self._reaches)  # (A, P, 2, 3)
+        edges, middles = (np.repeat(one[None], len(weights), axis=0) for one in self._exact)
+        edges[:, :3] += (shifts[:, :, 1] - shifts[:, :, 0]).transpose(0, 2, 1) / 2
+        middles[:, :3] += shifts.mean(axis=2).transpose(0, 2, 1)
+        return edges[:, None].astype(np.float32), middles[:, None].astype(np.float32)
+
+    def carried(self, matrices: Floats, morph_weights: Floats | None = None) -> Floats:
         """Boxes of the joints that move something, carried by (A, J, 3, 4) matrices, turned as these turn them.
+
+        Boxes grow by what morphs of weights (A, M) move.
 
         Returns
         -------
@@ -123,14 +171,16 @@ class JointBoxes:
         """
         words = matrices.reshape(len(matrices), -1).take(self._words, axis=1)
         edges, middles = self._single if words.dtype == np.float32 else self._exact
+        if morph_weights is not None and self._reaches is not None:
+            edges, middles = self._grown(morph_weights)
         parts: Floats = words * edges
         words *= middles
         parts[:, :, 3] += np.add.reduce(words, axis=2)
         return parts
 
-    def around(self, matrices: Floats) -> Floats:
+    def around(self, matrices: Floats, morph_weights: Floats | None = None) -> Floats:
         """Box of the skinned mesh of each pose, (A, 2, 3); zeros where no joint moves anything."""
-        return box_around(self.carried(matrices))
+        return box_around(self.carried(matrices, morph_weights))
 
 
 def upright_boxes(parts: Floats) -> tuple[Floats, Floats]:
@@ -223,6 +273,8 @@ def _motions(skeleton: Skeleton, clip: Clip, middles: NDArray[np.float64]) -> di
     # Before a track's first key nothing moves, although the segment found there has a rate.
     key_rates = np.where(middles < clip.keys.start_times[clip.keys.first_key][:, None], 0.0, key_rates)
     for bank in clip.keys.banks:
+        if bank.path not in motions:  # morph weights move no node
+            continue
         bounds = _rotation_motion(bank) if bank.path == "rotation" else _polynomial_motion(bank, 3)
         index = bank.first_segment[:, None] + segments[bank.time_lists]
         rates = key_rates[bank.time_lists]

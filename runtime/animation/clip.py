@@ -18,11 +18,13 @@ from runtime.animation.keyframes import Keys, stack_tracks
 from runtime.animation.skeleton import Skeleton
 from runtime.errors import AssetError
 from runtime.gltf.limits import LIMITS, Limits
+from runtime.gltf.morph_names import morph_names
 
 if TYPE_CHECKING:
     from runtime.gltf.document import Document
 
 COMPONENTS = {"translation": 3, "rotation": 4, "scale": 3}
+WEIGHTS = "weights"  # the path of a track that moves a morph, one number a key
 INTERPOLATIONS = ("LINEAR", "STEP", "CUBICSPLINE")
 
 
@@ -33,8 +35,8 @@ class Track:
     Attributes
     ----------
     node : int
-        Into the skeleton's nodes.
-    path : "translation", "rotation" or "scale"
+        Into the skeleton's nodes; of weights, into its morphs.
+    path : "translation", "rotation", "scale" or "weights"
     interpolation : "LINEAR", "STEP" or "CUBICSPLINE"
         Rotations are interpolated spherically, on the shorter arc, where LINEAR.
     times : (K,) float64, seconds, strictly rising
@@ -82,7 +84,8 @@ class Clip:
     def restricted(self, nodes: Sequence[int]) -> Clip:
         """The same clip with the tracks of some nodes only."""
         kept = frozenset(int(node) for node in nodes)
-        return Clip(self.name, self.duration_s, tuple(track for track in self.tracks if track.node in kept))
+        tracks = tuple(track for track in self.tracks if track.node in kept and track.path != WEIGHTS)
+        return Clip(self.name, self.duration_s, tracks)
 
 
 def _checked_track(
@@ -91,7 +94,7 @@ def _checked_track(
     """A track whose shapes, order and numbers hold; one line of complaint otherwise."""
     if mode not in INTERPOLATIONS:
         raise AssetError(f"{where}: interpolation {mode!r} is unknown; use LINEAR, STEP or CUBICSPLINE")
-    width = COMPONENTS[path]
+    width = COMPONENTS.get(path, 1)
     keys_per_time = 3 if mode == "CUBICSPLINE" else 1
     times = np.array(times, dtype=np.float64)
     values = np.array(values, dtype=np.float64)
@@ -146,47 +149,87 @@ def _node_map(document: Document, skeleton: Skeleton, by_name: bool) -> dict[int
     return mapped
 
 
+def _morph_map(document: Document, skeleton: Skeleton) -> dict[int, tuple[int, ...]]:
+    """Morph of the skeleton that each target of a node of the file is, by name; -1 for none."""
+    if not skeleton.morphs:
+        return {}
+    index = {name: morph for morph, name in enumerate(skeleton.morphs)}
+    return {node: tuple(index.get(name, -1) for name in names) for node, names in morph_names(document).items()}
+
+
+def _read_sampler(
+    animation: dict[str, Any], channel: dict[str, Any], accessors: _AccessorCache, place: str
+) -> tuple[str, NDArray[Any], NDArray[Any]]:
+    """Interpolation, key times and values of a channel, as they are."""
+    samplers, index = animation.get("samplers", []), channel.get("sampler", -1)
+    if not isinstance(index, int) or not 0 <= index < len(samplers):
+        raise AssetError(f"{place}: sampler {index} does not exist; re-export the clip")
+    sampler = samplers[index]
+    if "input" not in sampler or "output" not in sampler:
+        raise AssetError(f"{place}: its sampler lacks input or output; re-export the clip")
+    times, values = accessors.read(sampler["input"]), accessors.read(sampler["output"])
+    return str(sampler.get("interpolation", "LINEAR")), times, values
+
+
+def _by_target(values: NDArray[Any], count: int, place: str) -> NDArray[Any]:
+    """Keys of all targets of a mesh, a number each, as a row a key."""
+    if values.size % count:
+        raise AssetError(f"{place}: {values.size} values are no rows of {count} targets; re-export the clip")
+    return values.reshape(-1, count)
+
+
 def _read_tracks(
     animation: dict[str, Any],
     to_skeleton: dict[int, int],
+    to_morphs: dict[int, tuple[int, ...]],
     skeleton: Skeleton,
     accessors: _AccessorCache,
     where: str,
     faults: list[str] | None,
     limits: Limits,
 ) -> list[Track]:
-    """The tracks of one animation that move the skeleton's nodes."""
+    """The tracks of one animation that move the skeleton's nodes and morphs. Several meshes may show one morph."""
     fixed = frozenset(int(node) for node in skeleton.matrix_nodes)
-    samplers = animation.get("samplers", [])
     tracks: list[Track] = []
+    moved: set[int] = set()
     start_s = 0.0
     for channel in animation.get("channels", []):
         target = channel.get("target", {})
-        path = target.get("path")
-        node = to_skeleton.get(target.get("node", -1))
-        if node is None or node in fixed or path not in COMPONENTS:
+        path, source = target.get("path"), target.get("node", -1)
+        if path == WEIGHTS:
+            wanted = [(morph, at) for at, morph in enumerate(to_morphs.get(source, ())) if morph not in {-1, *moved}]
+            place = f"{where}, node {source}, {path}"
+        else:
+            node = to_skeleton.get(source)
+            wanted = [(node, -1)] if node is not None and node not in fixed and path in COMPONENTS else []
+            place = f"{where}, node {skeleton.names[node]!r}, {path}" if node is not None else where
+        if not wanted:
             continue
-        place = f"{where}, node {skeleton.names[node]!r}, {path}"
-        sampler_index = channel.get("sampler", -1)
-        if not isinstance(sampler_index, int) or not 0 <= sampler_index < len(samplers):
-            raise AssetError(f"{place}: sampler {sampler_index} does not exist; re-export the clip")
-        sampler = samplers[sampler_index]
-        if "input" not in sampler or "output" not in sampler:
-            raise AssetError(f"{place}: its sampler lacks input or output; re-export the clip")
-        times, values = accessors.read(sampler["input"]), accessors.read(sampler["output"])
-        mode = str(sampler.get("interpolation", "LINEAR"))
-        if faults is None:
-            tracks.append(_checked_track(node, path, mode, times, values, place, limits))
-            continue
-        times, values, mended = mend_keys(times, values, 3 if mode == "CUBICSPLINE" else 1, path, limits)
-        before = min(float(times[0]), 0.0) if times.ndim == 1 and len(times) else 0.0
+        mode, times, values = _read_sampler(animation, channel, accessors, place)
+        mended: list[str] = []
+        before = 0.0
         try:
-            track = _checked_track(node, path, mode, times - before, values, place, limits)
+            if path == WEIGHTS:
+                values = _by_target(values, len(to_morphs[source]), place)
+            if faults is not None:
+                times, values, mended = mend_keys(times, values, 3 if mode == "CUBICSPLINE" else 1, path, limits)
+                before = min(float(times[0]), 0.0) if times.ndim == 1 and len(times) else 0.0
+            found = [
+                _checked_track(
+                    to, path, mode, times - before, values if at < 0 else values[:, at : at + 1], place, limits
+                )
+                for to, at in wanted
+            ]
         except AssetError as error:
+            if faults is None:
+                raise
             faults.append(f"left out: {error}")
             continue
-        faults += [f"{place}: {words}" for words in mended]
-        tracks.append(replace(track, times=track.times + before))
+        if path == WEIGHTS:
+            moved |= {track.node for track in found}
+        if faults is not None:
+            faults += [f"{place}: {words}" for words in mended]
+        tracks += [replace(track, times=track.times + before) for track in found] if before else found
         start_s = min(start_s, before)
     if start_s < 0:
         assert faults is not None
@@ -198,7 +241,7 @@ def _read_tracks(
 def read_clips(
     document: Document, skeleton: Skeleton, by_name: bool = False, faults: list[str] | None = None
 ) -> tuple[Clip, ...]:
-    """Read every clip of a file, as far as it moves the skeleton's nodes.
+    """Read every clip of a file, as far as it moves the skeleton's nodes and morphs.
 
     Parameters
     ----------
@@ -212,7 +255,8 @@ def read_clips(
     Returns
     -------
     tuple of Clip, in the file's order
-        Channels that move other nodes, or morph weights, are left out. Clips without a name are called "clip N".
+        Channels that move other nodes, or morphs that the skeleton does not have, are left out. Clips without a name
+        are called "clip N".
 
     Raises
     ------
@@ -222,15 +266,16 @@ def read_clips(
     """
     path = str(getattr(document, "path", None) or "file")
     animations: list[dict[str, Any]] = document.json.get("animations", [])
-    to_skeleton = _node_map(document, skeleton, by_name)
-    if by_name and animations and not to_skeleton:
+    to_skeleton, to_morphs = _node_map(document, skeleton, by_name), _morph_map(document, skeleton)
+    if by_name and animations and not to_skeleton and not to_morphs:
         raise AssetError(f"{path}: none of its nodes has the name of one of the skeleton's; rename the joints to match")
     accessors = _AccessorCache(document)
     limits = getattr(document, "limits", LIMITS)
     clips: list[Clip] = []
     for number, animation in enumerate(animations):
         name = str(animation.get("name") or f"clip {number}")
-        tracks = _read_tracks(animation, to_skeleton, skeleton, accessors, f"{path}: clip {name!r}", faults, limits)
+        where = f"{path}: clip {name!r}"
+        tracks = _read_tracks(animation, to_skeleton, to_morphs, skeleton, accessors, where, faults, limits)
         duration = max((float(track.times[-1]) for track in tracks), default=0.0)
         clips.append(Clip(name, duration, tuple(tracks)))
     return tuple(clips)

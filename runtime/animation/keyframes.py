@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from runtime.animation.clip import Track
 
 Floats = NDArray[np.floating[Any]]
+WIDTHS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 1}  # numbers a key, by path
 
 
 @dataclass(frozen=True)
@@ -33,9 +34,10 @@ class Bank:
 
     Attributes
     ----------
-    path : "translation", "rotation" or "scale"
+    path : "translation", "rotation", "scale" or "weights"
     form : "arc", "linear" or "cubic"
     nodes : (R,) int32
+        Of weights: morphs.
     time_lists : (R,) int32
         Which list of key times each track uses.
     first_segment : (R,) int64
@@ -194,7 +196,7 @@ def _evaluate(bank: Bank, segments: NDArray[np.int64], u: NDArray[np.float64], d
     if bank.form == "arc":
         angle = coefficients[8] * at
         return np.asarray(coefficients[:4] * np.cos(angle) + coefficients[4:8] * np.sin(angle))
-    width = 4 if bank.path == "rotation" else 3
+    width = WIDTHS[bank.path]
     if bank.form == "linear":
         return np.asarray(coefficients[:width] + coefficients[width:] * at)
     a, b, c, d = (coefficients[power * width : (power + 1) * width] for power in range(4))

@@ -9,7 +9,7 @@ Letters in shapes: R rows (capacity), A the actors asked for, L layers, P slots,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from runtime.animation.layers import Layer, make_layer
 from runtime.animation.pose import Pose, rest_pose, sample, skinning_rows, wrap_times
 from runtime.animation.root_motion import RootMotion, compose, motion_matrix
 from runtime.animation.skeleton import Skeleton
-from runtime.validation import FASTEST, LONGEST_S, is_integer, numbers, step_s, unknown_name
+from runtime.validation import FASTEST, LONGEST_S, describe, is_integer, numbers, step_s, unknown_name
 
 Floats = NDArray[np.floating[Any]]
 Rows = NDArray[np.int64]
@@ -33,6 +33,43 @@ _FIRST_CAPACITY = 8
 # In place of a clip's number: the slot is heard as silence.
 _SILENCE = -1
 _DTYPE = np.float32
+LARGEST_WEIGHT = 100.0  # of a morph, either sign: glTF allows weights beyond one, and a mistake is a thousand
+
+
+def given_weights(skeleton: Skeleton, before: Floats, weights: Mapping[str, Any] | ArrayLike | None) -> Floats:
+    """Morph weights that code gives A actors, (A, M), NaN where a morph is the clips'; see `Mixer.set_morph_weights`.
+
+    before : (A, M)
+        What was given until now.
+    """
+    given = before.copy()
+    if weights is None:
+        given[:] = np.nan
+    elif isinstance(weights, Mapping):
+        for name, value in weights.items():
+            morph = skeleton.morph(name)
+            amount = np.nan if value is None else numbers(value, f"weights of {name!r}", LARGEST_WEIGHT)
+            if np.ndim(amount) and np.shape(amount) != (len(given),):
+                raise ValueError(f"{len(given)} actors need a weight of {name!r} each, or one for all")
+            given[:, morph] = amount
+    else:
+        given[:] = _checked_weights(weights, *given.shape)
+    return given
+
+
+def _checked_weights(weights: ArrayLike, num_actors: int, num_morphs: int) -> NDArray[np.float64]:
+    """Weights for actors, (M,) or (A, M), NaN where a morph is the clips'."""
+    try:
+        array = np.asarray(weights, np.float64)
+    except (TypeError, ValueError):
+        array = np.zeros(())
+    if array.shape not in ((num_morphs,), (num_actors, num_morphs)):
+        raise ValueError(
+            f"morph weights of {num_actors} actors are ({num_morphs},) or ({num_actors}, {num_morphs}) numbers, or a "
+            f"mapping of names to weights, not {describe(weights)}"
+        )
+    numbers(np.where(np.isnan(array), 0.0, array), "morph weights", LARGEST_WEIGHT)
+    return array
 
 
 class Mixer:
@@ -66,6 +103,8 @@ class Mixer:
         self._root_step = np.zeros((0, 3))
         self._joint_rows: Floats = np.zeros((0, skeleton.num_joints, 3, 4), dtype=_DTYPE)
         self._node_rows: Floats = np.zeros((0, skeleton.num_nodes, 3, 4), dtype=_DTYPE)
+        self._morphs: Floats = np.zeros((0, len(skeleton.morphs)), dtype=_DTYPE)
+        self._given_morphs: Floats = np.zeros((0, len(skeleton.morphs)), dtype=_DTYPE)  # NaN: the clip's
         self._given = JointsFromCode(skeleton)
 
     # Rows
@@ -84,6 +123,7 @@ class Mixer:
         self._layer_weight[row], self._fade_rate[row], self._newest[row] = 1.0, 0.0, 0
         self._pending[row], self._root_step[row] = 0.0, 0.0
         self._dirty[row], self._moves_root[row], self._turns_root[row] = True, False, False
+        self._given_morphs[row] = np.nan
         self._given.clear(row)
         return row
 
@@ -101,6 +141,7 @@ class Mixer:
         for name in (
             *("_clip", "_time", "_speed", "_loop", "_weight", "_newest", "_fade_rate", "_layer_weight", "_pending"),
             *("_dirty", "_moves_root", "_turns_root", "_root_step", "_joint_rows", "_node_rows"),
+            *("_morphs", "_given_morphs"),
         ):
             setattr(self, name, longer(getattr(self, name)))
         self._given.grow(capacity)
@@ -290,6 +331,32 @@ class Mixer:
         self._given.set_rotations(row, self._capacity, rotations)
         self._dirty[row] = True
 
+    # Morphs
+
+    def set_morph_weights(self, rows: ArrayLike, weights: Mapping[str, Any] | ArrayLike | None) -> None:
+        """Set morph weights from code, over what the clips say; None gives them back to the clips.
+
+        Parameters
+        ----------
+        rows : (A,) int
+        weights : mapping of names to a number or (A,) numbers, or (M,) or (A, M) numbers
+            NaN in an array, and None in a mapping, where a morph is the clips'.
+
+        Raises
+        ------
+        ValueError
+            When there is no such morph, or a number is not finite or larger than `LARGEST_WEIGHT`.
+        """
+        rows = np.atleast_1d(np.asarray(rows, dtype=np.int64))
+        self._given_morphs[rows] = given_weights(self.skeleton, self._given_morphs[rows], weights)
+        self._dirty[rows] = True
+
+    def morph_weights(self, rows: ArrayLike) -> Floats:
+        """Weights of the morphs of some rows, (A, M) float32."""
+        rows = np.array(rows, dtype=np.int64, ndmin=1)
+        self._refresh(rows)
+        return self._morphs.take(rows, axis=0)
+
     # Time
 
     def note_time(self, row: int, dt_s: float) -> None:
@@ -376,6 +443,9 @@ class Mixer:
         given = self._given.rotations(rows)
         if given is not None:
             np.copyto(pose.rotation, given, where=~np.isnan(given))
+        if pose.weights is not None:
+            set_here = self._given_morphs[rows]
+            np.copyto(pose.weights, set_here, where=~np.isnan(set_here))
         return pose
 
     def _loudness(self, rows: Rows, which: int) -> NDArray[np.float64]:
@@ -411,7 +481,10 @@ class Mixer:
         stale = np.unique(rows[dirty])
         given = self._given.matrices(stale)
         nodes = np.empty((len(stale), self.skeleton.num_nodes, 3, 4), dtype=_DTYPE)
-        self._joint_rows[stale] = skinning_rows(self.skeleton, self.pose(stale), given, nodes)
+        pose = self.pose(stale)
+        self._joint_rows[stale] = skinning_rows(self.skeleton, pose, given, nodes)
+        if pose.weights is not None:
+            self._morphs[stale] = pose.weights
         self._node_rows[stale] = nodes
         self._dirty[stale] = False
 

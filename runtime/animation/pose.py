@@ -34,11 +34,14 @@ class Pose:
     translation : (A, N, 3) float, metres
     rotation : (A, N, 4) float, unit quaternions (x, y, z, w)
     scale : (A, N, 3) float
+    weights : (A, M) float or None
+        Of the morphs, where the character has any.
     """
 
     translation: Floats
     rotation: Floats
     scale: Floats
+    weights: Floats | None = None
 
     @property
     def num_actors(self) -> int:
@@ -53,17 +56,22 @@ class Pose:
     def select(self, actors: ArrayLike) -> Pose:
         """The pose of some actors, in the order given."""
         index = np.asarray(actors)
-        parts = (np.ascontiguousarray(part.T[..., index]).T for part in (self.translation, self.rotation, self.scale))
-        return Pose(*parts)
+
+        def picked(part: Floats) -> Floats:
+            return np.ascontiguousarray(part.T[..., index]).T
+
+        weights = None if self.weights is None else picked(self.weights)
+        return Pose(picked(self.translation), picked(self.rotation), picked(self.scale), weights)
 
 
 def rest_pose(skeleton: Skeleton, num_actors: int = 1, dtype: DTypeLike = np.float64) -> Pose:
     """The skeleton's own pose, once for each of A actors. The arrays may be written to."""
 
     def repeated(values: NDArray[np.float64]) -> Floats:
-        return np.repeat(values.T.astype(dtype)[..., None], num_actors, axis=2).T
+        return np.repeat(values.T.astype(dtype)[..., None], num_actors, axis=values.ndim).T
 
-    return Pose(repeated(skeleton.translation), repeated(skeleton.rotation), repeated(skeleton.scale))
+    weights = repeated(np.array(skeleton.morph_weights)) if skeleton.morphs else None
+    return Pose(repeated(skeleton.translation), repeated(skeleton.rotation), repeated(skeleton.scale), weights)
 
 
 def wrap_times(times_s: NDArray[np.float64], duration_s: float, loop: bool | NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -107,7 +115,11 @@ def sample(
         raise ValueError(f"clip {clip.name!r} asked for a time that is not finite; check the actor's clock")
     pose = rest_pose(skeleton, len(times), dtype)
     for bank, values in evaluate(clip.keys, wrap_times(times, clip.duration_s, loop), np.dtype(dtype)):
-        getattr(pose, bank.path).T[:, bank.nodes] = values
+        if bank.path == "weights":
+            if pose.weights is not None:  # a clip of a character with morphs, on a skeleton without
+                pose.weights.T[bank.nodes] = values[0]
+        else:
+            getattr(pose, bank.path).T[:, bank.nodes] = values
     return pose
 
 

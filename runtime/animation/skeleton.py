@@ -49,6 +49,10 @@ class Skeleton:
         Nodes whose local matrix is not a product of translation, rotation and scale. Clips never move them (glTF).
     matrices : (M, 4, 4) float64
         The local matrices of those.
+    morphs : tuple of str, unique
+        Names of the morph targets (blend shapes), which clips move as they move nodes.
+    morph_weights : tuple of float
+        Of each at rest.
     """
 
     names: tuple[str, ...]
@@ -62,6 +66,8 @@ class Skeleton:
     document_nodes: NDArray[np.int32]
     matrix_nodes: NDArray[np.int32]
     matrices: NDArray[np.float64]
+    morphs: tuple[str, ...] = ()
+    morph_weights: tuple[float, ...] = ()
 
     @property
     def num_nodes(self) -> int:
@@ -110,6 +116,20 @@ class Skeleton:
             raise ValueError(f"no joint {describe(name)}; the skeleton has {self.num_nodes}, counted from 0")
         return int(name)
 
+    def morph(self, name: str | int) -> int:
+        """Index of a morph given by name or by index.
+
+        Raises
+        ------
+        ValueError
+            When there is none of that name or index.
+        """
+        if isinstance(name, str) and name in self.morphs:
+            return self.morphs.index(name)
+        if is_integer(name) and 0 <= int(name) < len(self.morphs):
+            return int(name)
+        raise unknown_name("morph", name, self.morphs, "character")
+
     def descendants(self, name: str | int) -> NDArray[np.bool_]:
         """Mask of a node and everything below it, (N,) bool."""
         mask = np.zeros(self.num_nodes, dtype=bool)
@@ -123,6 +143,7 @@ class Skeleton:
         """Assert our own invariants: shapes, order by depth, unit quaternions, finite numbers."""
         num_nodes, num_joints = self.num_nodes, self.num_joints
         assert len(set(self.names)) == num_nodes
+        assert len(set(self.morphs)) == len(self.morphs) == len(self.morph_weights)
         assert self.parents.shape == self.document_nodes.shape == (num_nodes,)
         assert (self.parents < np.arange(num_nodes)).all() and (self.parents >= -1).all()
         assert self.translation.shape == self.scale.shape == (num_nodes, 3) and self.rotation.shape == (num_nodes, 4)

@@ -7,18 +7,21 @@ Letters in shapes: L mip levels, C channels, N vertices, F faces.
 
 from __future__ import annotations
 
+import dataclasses
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 from msgspec import UnsetType
 from numpy.typing import NDArray
 
 from runtime.asset.lod_mesh import LodMesh, read_lods
 from runtime.asset.manifest import FURTHEST_M, MANIFEST, Manifest, read_manifest
+from runtime.asset.morphs import Morphs, morphs_size, unpack_morphs
 from runtime.asset.packed_positions import read_words
 from runtime.asset.weight_quadtree import WeightDetails, build_quadtree, details_size, no_details, unpack_details
 from runtime.errors import REBUILD, AssetError
@@ -97,6 +100,7 @@ class Asset:
     clips: tuple[Clip, ...]
     weight_size: tuple[int, int]
     weight_details: WeightDetails = field(default_factory=no_details)
+    morphs: Morphs | None = None
 
     @property
     def name(self) -> str:
@@ -112,6 +116,21 @@ class Asset:
     def joint_names(self) -> tuple[str, ...]:
         """What its joints are called, in their order."""
         return self.manifest.joints
+
+    @property
+    def morph_names(self) -> tuple[str, ...]:
+        """What its morph targets (blend shapes) are called, in their order."""
+        return self.skeleton.morphs
+
+    @property
+    def morph_reaches(self) -> NDArray[np.float64]:
+        """How far each morph of weight one moves what each joint carries, (M, J, 2, 3): least and greatest shift."""
+        reaches = np.zeros((len(self.morph_names), self.num_joints, 2, 3))
+        entry = self.manifest.entry.morphs
+        for number, target in enumerate([] if isinstance(entry, UnsetType) else entry.targets):
+            for joint, low, high in target.reach:
+                reaches[number, joint] = low, high
+        return reaches
 
     def __repr__(self) -> str:
         faces = len(self.lods[0].triangles)
@@ -256,6 +275,20 @@ def _read_weight_details(folder: Path, manifest: Manifest) -> WeightDetails:
     return details
 
 
+def _read_morphs(folder: Path, manifest: Manifest) -> Morphs | None:
+    """Displacement maps of the morph targets."""
+    entry = manifest.entry.morphs
+    if isinstance(entry, UnsetType):
+        return None
+    path = find_local_file(folder, entry.file, "morphs", REBUILD)
+    size = manifest.entry.textures.position.size
+    image = _read_texels(path, "morphs", "uint16", morphs_size(sum(target.texels for target in entry.targets)))
+    if image.shape[2] != 4:
+        raise AssetError(f"{path} has {image.shape[2]} channels, not 4: {REBUILD}")
+    targets = [msgspec.to_builtins(target) for target in entry.targets]
+    return Morphs(unpack_morphs(image, targets, size[0] * size[1], str(path)), size)
+
+
 def _factors(spec: dict[str, Any], key: str, default: tuple[float, ...], where: str) -> tuple[float, ...]:
     """As many finite numbers as the default has."""
     values = spec.get(key, list(default) if len(default) > 1 else default[0])
@@ -361,6 +394,10 @@ def load(path: str | Path) -> Asset:
     _check_words(folder, manifest, textures["position"].levels[0])
     _check_weights(textures["weights"].levels[0], weights.size[1], len(manifest.joints), str(folder / weights.file))
     skeleton = _read_skeleton(document, manifest)
+    morphs = _read_morphs(folder, manifest)
+    if morphs is not None:
+        names, weights_at_rest = zip(*((target.name, target.default) for target in morphs.targets))
+        skeleton = dataclasses.replace(skeleton, morphs=names, morph_weights=weights_at_rest)
     lods = read_lods(document, manifest.entry.lods)
     return Asset(
         path=folder,
@@ -372,4 +409,5 @@ def load(path: str | Path) -> Asset:
         clips=_read_clips(document, skeleton, manifest),
         weight_size=weights.size,
         weight_details=_read_weight_details(folder, manifest),
+        morphs=morphs,
     )

@@ -27,6 +27,7 @@ MAX_MIPS = 15
 MAX_SLOTS = 64
 MAX_LEAVES = 2**22
 MAX_COUNT = 2**31 - 1
+MAX_MORPHS, MAX_MORPH_TEXELS = 4096, 2**24
 
 Count = Annotated[int, Meta(ge=0, le=MAX_COUNT)]
 Side = Annotated[int, Meta(ge=1, le=MAX_SIDE)]
@@ -34,6 +35,7 @@ Slots = Annotated[int, Meta(ge=1, le=MAX_SLOTS)]
 Coordinate = Annotated[float, Meta(ge=-FURTHEST_M, le=FURTHEST_M)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 BoxPoints = tuple[Point, Point]
+Weight = Annotated[float, Meta(ge=-FURTHEST_M, le=FURTHEST_M)]
 Bits = Annotated[int, Meta(ge=1, le=30)]
 Name = Annotated[str, Meta(min_length=1)]
 
@@ -129,6 +131,24 @@ class BoundsEntry(Struct, kw_only=True):
     clips: dict[str, BoxPoints] = {}
 
 
+class MorphEntry(Struct, kw_only=True):
+    """One morph target (runtime/asset/morphs.py); how far it moves what joints carry, least and greatest shift."""
+
+    name: Name
+    default: Weight
+    texels: Count
+    shift_m: Annotated[float, Meta(ge=0, le=FURTHEST_M)]
+    turn: Annotated[float, Meta(ge=0, le=FURTHEST_M)]
+    reach: list[tuple[Count, Point, Point]] = []
+
+
+class MorphsEntry(Struct, kw_only=True):
+    """The displacement maps of all morph targets."""
+
+    file: Name
+    targets: Annotated[list[MorphEntry], Meta(min_length=1, max_length=MAX_MORPHS)]
+
+
 class ManifestEntry(Struct, kw_only=True):
     """All of manifest.json that the runtime looks at."""
 
@@ -140,6 +160,7 @@ class ManifestEntry(Struct, kw_only=True):
     clips: list[ClipEntry]
     name: Name | UnsetType = UNSET
     model: Name = "model.glb"
+    morphs: MorphsEntry | UnsetType = UNSET
     files: dict[str, str] = {}
 
 
@@ -228,6 +249,8 @@ def read_manifest(folder: Path) -> Manifest:
     boxes = entry.bounds.joints or [None] * len(entry.joints)
     if len(boxes) != len(entry.joints):
         raise AssetError(f"{path}: bounds.joints has {len(boxes)} entries for {len(entry.joints)} joints: {REBUILD}")
+    if not isinstance(entry.morphs, UnsetType):
+        _check_morphs(entry.morphs, len(entry.joints), f"{path}: morphs")
     for name, texture in entry.textures.colors().items():
         _check_mips(texture, f"{path}: textures.{name}")
     return Manifest(
@@ -249,3 +272,13 @@ def _check_mips(texture: ColorEntry, where: str) -> None:
         raise AssetError(f"{where} has {len(texture.mip_files)} mip_files for {texture.mips} levels: {REBUILD}")
     if texture.mips > max(texture.size).bit_length():
         raise AssetError(f"{where} has {texture.mips} levels of {max(texture.size)} texels: {REBUILD}")
+
+
+def _check_morphs(morphs: MorphsEntry, num_joints: int, where: str) -> None:
+    names = [target.name for target in morphs.targets]
+    if len(set(names)) != len(names):
+        raise AssetError(f"{where} have a name twice: {REBUILD}")
+    if sum(target.texels for target in morphs.targets) > MAX_MORPH_TEXELS:
+        raise AssetError(f"{where} have more than {MAX_MORPH_TEXELS} texels: {REBUILD}")
+    if any(joint >= num_joints for target in morphs.targets for joint, _, _ in target.reach):
+        raise AssetError(f"{where} reach a joint beyond the {num_joints}: {REBUILD}")

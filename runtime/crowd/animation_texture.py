@@ -8,7 +8,7 @@ Letters in shapes: C clips, R rows of all clips, J joints, V vertices.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -154,20 +154,30 @@ def bake_clips(
     blocks.append(skinning_rows(skeleton, rest_pose(skeleton)).astype(np.float32))
     counts = np.array([len(block) for block in blocks], dtype=np.int64)
     durations = np.array([*(clip.duration_s for clip in clips), 0.0])
-    row_boxes = [pose_bounds(block, boxes) for block in blocks]
-    boxes_m = np.array([(each[:, 0].min(axis=0), each[:, 1].max(axis=0)) for each in row_boxes], np.float64)
-    halves = (boxes_m[:, 1] - boxes_m[:, 0]) / 2 + shift + 1e-4
-    return BakedClips(
+    unbounded = np.zeros((len(blocks), 3))
+    baked = BakedClips(
         names=(*(clip.name for clip in clips), "rest"),
         matrices=np.concatenate(blocks),
         first_row=np.cumsum(counts) - counts,
         num_rows=counts,
         durations_s=durations,
         rates_hz=(counts - 1) / np.where(durations > 0, durations, 1.0),
-        centres=boxes_m.mean(axis=1),
-        row_boxes=np.concatenate(row_boxes).astype(np.float32),
-        radii_m=np.linalg.norm(halves, axis=1),
+        centres=unbounded,
+        row_boxes=np.zeros((int(counts.sum()), 2, 3), np.float32),
+        radii_m=unbounded[:, 0],
         shift_m=shift,
+    )
+    return bounds_of_rows(baked, boxes)
+
+
+def bounds_of_rows(baked: BakedClips, boxes: NDArray[np.float64]) -> BakedClips:
+    """The same clips with the bounds that follow from these boxes of joints, (J, 2, 3)."""
+    row_boxes = pose_bounds(baked.matrices, boxes)
+    low = np.minimum.reduceat(row_boxes[:, 0], baked.first_row).astype(np.float64)
+    high = np.maximum.reduceat(row_boxes[:, 1], baked.first_row).astype(np.float64)
+    halves = (high - low) / 2 + baked.shift_m + 1e-4
+    return replace(
+        baked, centres=(low + high) / 2, row_boxes=row_boxes.astype(np.float32), radii_m=np.linalg.norm(halves, axis=1)
     )
 
 

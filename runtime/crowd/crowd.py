@@ -17,8 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from runtime.animation.clip import Clip
+from runtime.animation.mixer import given_weights
 from runtime.crowd.animation_texture import MAX_ROWS, bake_clips
 from runtime.crowd.lod_buffers import CrowdLevel, LevelMesh, bake_level_animations, model_meshes, upload_level
+from runtime.crowd.morphs import CrowdMorphs
 from runtime.crowd.passes import CrowdPasses
 from runtime.crowd.state import CrowdState
 from runtime.errors import NotCopied, RenderError
@@ -96,10 +98,17 @@ class Crowd(NotCopied, Drawable):
         self._released = False
         self._passes = CrowdPasses(model, self._seam_lines)
         self._owned: list[Any] = []
+        self._morphs: CrowdMorphs | None = None
         try:
             units = (*range(len(TEXTURE_UNITS)), ctx.default_texture_unit)
             with gl_state.saved_state(units, (), False):
                 self._rows_texture = self._upload_rows()
+                if "MORPHS" in model.shader_defines and self._draws_the_model:
+                    boxes = model.joint_boxes.boxes
+                    self._morphs = CrowdMorphs(ctx, model.asset, chosen, self.baked, boxes, self.count)
+                    self._passes.morphs = self._morphs
+                    self._bound_morphs()
+                    vertex_animation_bytes = 0  # ready-made positions know no weights of single actors
                 self._levels = self._upload_levels(vertex_animation_bytes)
         except BaseException:
             self.release()
@@ -195,6 +204,37 @@ class Crowd(NotCopied, Drawable):
         """Names of the clips the crowd can play; the last is the rest pose."""
         return self.baked.names
 
+    def set_morph_weights(self, weights: Mapping[str, Any] | ArrayLike | None, which: Any = None) -> None:
+        """Set morph targets (blend shapes) of actors, over what their clips say.
+
+        Parameters
+        ----------
+        weights : mapping of names to a weight or (A,) weights, (M,) or (A, M) float, or None
+            As for `Actor.set_morph_weights`.
+        which : slice, mask or numbers of actors, optional
+            All by default.
+
+        Raises
+        ------
+        ValueError
+            When there is no such morph, or a weight is not finite or too large.
+        """
+        actors = self.state.index(which)
+        if self._morphs is None:
+            given_weights(self.model.mixer.skeleton, np.zeros((len(actors), 0), np.float32), weights)
+            return
+        self._require_usable()
+        with gl_state.saved_state((self.ctx.default_texture_unit,), (), False):
+            grown = self._morphs.set_weights(weights, actors)
+        if grown:
+            self._bound_morphs()
+
+    def _bound_morphs(self) -> None:
+        """Let bounds hold what morphs do."""
+        assert self._morphs is not None
+        self.baked, boxes = self._morphs.bound(self.baked)
+        self.state.set_bounds(self.baked, boxes)
+
     def tint(self, colors: ArrayLike, which: Any = None) -> None:
         """Set factors of the base colour: (A, 3), (A, 4), (3,) or (4,) float, linear, 0 to 1."""
         actors, given = self.state.index(which), numbers(colors, "tints")
@@ -229,6 +269,7 @@ class Crowd(NotCopied, Drawable):
             "animation_texture": int(self.baked.matrices.nbytes),
             "vertex_animation_textures": sum(4 * texture.width * texture.height for texture in animations),
             "vertices": sum(int(level.vertices.size) for level in self._levels),
+            "morphs": 0 if self._morphs is None else self._morphs.nbytes,
             "instances": self._passes.instance_bytes,
         }
 
@@ -241,6 +282,11 @@ class Crowd(NotCopied, Drawable):
         texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
         texture.repeat_x = texture.repeat_y = False
         return texture
+
+    @property
+    def _draws_the_model(self) -> bool:
+        """Whether the levels are the model's own, vertex by vertex."""
+        return type(self)._meshes is Crowd._meshes
 
     def _meshes(self) -> list[LevelMesh]:
         """The levels to draw, the finest first."""
@@ -278,6 +324,8 @@ class Crowd(NotCopied, Drawable):
         for name, texture in self.textures.items():
             texture.use(TEXTURE_UNITS[name])
         self._rows_texture.use(TEXTURE_UNITS["joint_texture"])
+        if self._morphs is not None:
+            self._morphs.bind()
         self._passes.draw(frame, selection, self.model.constants)
 
     # The end
@@ -296,6 +344,6 @@ class Crowd(NotCopied, Drawable):
         if not can_free_now:
             return
         self._passes.release()
-        for thing in self._owned:
+        for thing in (*self._owned, *([] if self._morphs is None else [self._morphs])):
             thing.release()
         self._owned.clear()

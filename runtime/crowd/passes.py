@@ -14,13 +14,21 @@ import moderngl
 from numpy.typing import NDArray
 
 from runtime.crowd.lod_buffers import CrowdLevel
+from runtime.crowd.morphs import UNITS, CrowdMorphs
 from runtime.crowd.state import Selection
 from runtime.gpu import gl_state
 from runtime.gpu.lod_buffers import MaterialRange
 from runtime.gpu.model import Model
 from runtime.gpu.programs import build_program, set_uniforms
 from runtime.gpu.textures import TEXTURE_UNITS
-from runtime.gpu.vertex_layout import CROWD_ATTRIBUTES, CROWD_INSTANCE, NORMAL_UVS, attribute_offsets, bind_buffer
+from runtime.gpu.vertex_layout import (
+    CROWD_ATTRIBUTES,
+    CROWD_INSTANCE,
+    MORPH_LISTS,
+    NORMAL_UVS,
+    attribute_offsets,
+    bind_buffer,
+)
 from runtime.render.passes import face_runs, set_material, start_lines
 from runtime.render.views import LINE_COLORS, LINES, Frame
 
@@ -58,6 +66,7 @@ class CrowdPasses:
     def __init__(self, model: Model, seam_lines: Callable[[int], moderngl.Buffer | None]) -> None:
         self.ctx, self._model = model.ctx, model
         self.levels: Sequence[CrowdLevel] = ()
+        self.morphs: CrowdMorphs | None = None
         self._seam_lines = seam_lines
         self._programs: dict[tuple[Any, ...], moderngl.Program] = {}
         self._vertex_arrays: dict[tuple[Any, ...], moderngl.VertexArray] = {}
@@ -132,6 +141,8 @@ class CrowdPasses:
         program = self._programs.get(key) or self._build(key, frame, level, faces)
         for values in (constants, level.uniforms, frame.view.uniforms, frame.uniforms, {"crowd_level": part.level}):
             set_uniforms(program, values)
+        if self.morphs is not None:
+            set_uniforms(program, self.morphs.uniforms)
         set_material(program, faces.material, frame.view.blends)
         if level.animation is not None:
             level.animation.use(VERTEX_ANIMATION_UNIT)
@@ -148,9 +159,11 @@ class CrowdPasses:
         defines |= dict.fromkeys(faces.defines, 1)
         if self._model.asset.colors_moved:
             defines["COLOR_AT_NORMAL_UV"] = 1
+        if self.morphs is not None:
+            defines["MORPHS"] = 1
         stages = ["crowd.vert", *([frame.view.fragment] if frame.view.fragment else [])]
         program = build_program(self.ctx, stages, defines, frame.view.text, frame.view.folder)
-        set_uniforms(program, {**TEXTURE_UNITS, "vertex_animation_texture": VERTEX_ANIMATION_UNIT})
+        set_uniforms(program, {**TEXTURE_UNITS, **UNITS, "vertex_animation_texture": VERTEX_ANIMATION_UNIT})
         self._programs[key] = program
         return program
 
@@ -161,6 +174,7 @@ class CrowdPasses:
             bind_buffer(program, level.vertices, level.attributes),
             bind_buffer(program, self._instances, CROWD_ATTRIBUTES, per_instance=True),
             None if level.normal_uvs is None else bind_buffer(program, level.normal_uvs, NORMAL_UVS),
+            None if self.morphs is None else bind_buffer(program, self.morphs.lists[number], MORPH_LISTS),
         ]
         indices = level.indices if kind == "triangles" else self._seam_lines(number)
         used = [entry for entry in content if entry is not None]

@@ -73,6 +73,12 @@ class CrowdState:
         self._levels = np.full(count, -1, dtype=np.int8)
         self.place_spheres(slice(None))
 
+    def set_bounds(self, baked: BakedClips, joint_boxes: JointBoxes) -> None:
+        """Take other bounds of the same clips."""
+        self.baked, self.joint_boxes = baked, joint_boxes
+        self._row_boxes = np.ascontiguousarray(baked.row_boxes.reshape(-1, 6).T)
+        self.place_spheres(slice(None))
+
     def index(self, which: Any) -> NDArray[np.int64]:
         """Numbers of the actors that a caller means: None for all, a slice, a mask or numbers."""
         if which is None:
@@ -245,5 +251,6 @@ class CrowdState:
         records = np.empty(len(numbers), CROWD_INSTANCE)
         records["rows"] = rows[chosen[order]].reshape(-1, 3, 4)
         records["pose_row"], records["tint"] = pose_rows[chosen[order]], self.tints[numbers[order]]
+        records["actor"] = numbers[order]
         totals = counts.sum(axis=1)
         return Selection(records, np.cumsum(totals) - totals, counts[:, 0], counts[:, 1])

@@ -5,7 +5,7 @@ Everything is uploaded in `Model(ctx, asset)` and freed in `release()`. The call
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import moderngl
@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from runtime.animation.bounds import JointBoxes, stored_joint_boxes
 from runtime.animation.mixer import Mixer
 from runtime.asset.asset import Asset
+from runtime.asset.morphs import Morphs
 from runtime.errors import NotCopied, RenderError
 from runtime.gpu.context import can_free, is_gone, require_current
 from runtime.gpu.gl_state import saved_state
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from runtime.animation.clip import Clip
     from runtime.scene.actor import Actor
 
+SUMS_A_ROW = 1024  # shaders/include/morphs.glsl: MORPHS_WIDTH_LOG2
 _WHITE = np.full((1, 1, 4), 255, np.uint8)
 
 
@@ -90,11 +92,17 @@ class Model(NotCopied):
         self.ctx = ctx
         self.asset = asset
         self.mixer = Mixer(asset.skeleton, asset.clips)
-        self.joint_boxes = JointBoxes(stored_joint_boxes(asset.joint_bounds, asset.manifest.bind_bounds))
+        self.joint_boxes = JointBoxes(
+            stored_joint_boxes(asset.joint_bounds, asset.manifest.bind_bounds), asset.morph_reaches
+        )
         self.has_patches = ctx.version_code >= TESSELLATION_VERSION_CODE
         self._released = False
         self._owned: list[Any] = []
         self._joint_texture: moderngl.Texture | None = None
+        moves = asset.morphs is not None and len(asset.morphs.texels)
+        self._morphs: Morphs | None = asset.morphs if moves else None
+        self._morph_sums: moderngl.Texture | None = None
+        self._summed: NDArray[Any] = np.zeros((0, 0), np.float32)  # weights that the sums are of
         self.textures: dict[str, moderngl.Texture] = {}
         self.channels = prepared.channels
         self.levels = Levels(ctx, asset, self.channels)
@@ -147,6 +155,8 @@ class Model(NotCopied):
         }
         if cells.joints is not None:
             exact["joint_records"] = cells.joints
+        if self._morphs is not None:
+            exact["morph_numbers"] = self._morphs.texel_numbers
         positions = prepared.positions
         filtered: dict[str, tuple[NDArray[Any], ...]] = {}
         if positions.texels.dtype == np.uint32:
@@ -166,6 +176,7 @@ class Model(NotCopied):
             "position_offset": tuple(positions.offset),
             "weight_size": asset.weight_size,
             "first_divided_record": cells.first_divided,
+            **({} if self._morphs is None else {"morph_height": -(-len(self._morphs.texels) // SUMS_A_ROW)}),
             "box_min": tuple(asset.manifest.bind_bounds[0]),
             "box_size": tuple(asset.manifest.bind_bounds[1] - asset.manifest.bind_bounds[0]),
         }
@@ -186,6 +197,7 @@ class Model(NotCopied):
         """Preprocessor definitions that this model's programs need."""
         return {
             **({} if self.weight_cells.joints is None else {"WIDE_JOINTS": 1}),
+            **({} if self._morphs is None else {"MORPHS": 1}),
             **({"POSITION_WORDS": 1} if "position_shifts" in self.constants else {}),
             **({"COLOR_AT_NORMAL_UV": 1} if self.asset.colors_moved else {}),
             **({"FLOAT_NORMALS": 1} if self.asset.textures["normal"].levels[0].dtype.kind == "f" else {}),
@@ -212,12 +224,40 @@ class Model(NotCopied):
         texture.write(joint_texels, viewport=(0, 0, width, num_poses))
         return texture
 
+    def write_morphs(self, weights: NDArray[np.floating[Any]]) -> None:
+        """Sum up the morph targets of actors with these weights (A, M), a block of rows each, in the poses' order."""
+        if self._morphs is None or np.array_equal(weights, self._summed):
+            return
+        count, rows = len(self._morphs.texels), -(-len(self._morphs.texels) // SUMS_A_ROW)
+        width, needed = 3 * min(count, SUMS_A_ROW), len(weights) * rows
+        texture = self._morph_sums
+        if texture is None or texture.height < needed:
+            limit = self.ctx.info["GL_MAX_TEXTURE_SIZE"]
+            if needed > limit:
+                raise RenderError(
+                    f"{len(weights)} actors of {self.asset.name} with {count} morphed texels at once, this context "
+                    f"allows textures of {limit} texels: draw in parts"
+                )
+            capacity = min(limit, max(needed, 2 * texture.height if texture else 1))
+            if texture is not None:
+                texture.release()
+            texture = self._morph_sums = self.ctx.texture((width, capacity), 4, dtype="f4")
+            texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        sums = self._morphs.blend(weights).reshape(len(weights), -1, 4)
+        missing = rows * width - 3 * count
+        if missing:
+            sums = np.concatenate([sums, np.zeros((len(weights), missing, 4), np.float32)], axis=1)
+        texture.write(np.ascontiguousarray(sums), viewport=(0, 0, width, needed))
+        self._summed = np.array(weights)
+
     def bind_textures(self) -> None:
         """Put all textures, that of poses too, into their units (`TEXTURE_UNITS`)."""
         for sampler, texture in self.textures.items():
             texture.use(TEXTURE_UNITS[sampler])
         assert self._joint_texture is not None
         self._joint_texture.use(TEXTURE_UNITS["joint_texture"])
+        if self._morph_sums is not None:
+            self._morph_sums.use(TEXTURE_UNITS["morph_sums"])
 
     def actor(
         self,
@@ -264,6 +304,22 @@ class Model(NotCopied):
             loop=loop,
         )
 
+    def set_morph_weights(self, actors: Sequence[Actor], weights: Mapping[str, Any] | ArrayLike | None) -> None:
+        """Set morph targets of many actors at once, over what clips say of them.
+
+        Parameters
+        ----------
+        actors : sequence of A actors of this model
+        weights : mapping of names to a weight or (A,) weights, (M,) or (A, M) float, or None
+            As for `Actor.set_morph_weights`.
+
+        Raises
+        ------
+        ValueError
+            When there is no such morph, or a weight is not finite or too large.
+        """
+        self.mixer.set_morph_weights([actor.row for actor in actors], weights)
+
     def require_usable(self) -> None:
         """Refuse a model that was released or is not all there, or whose context was released or is not current.
 
@@ -290,7 +346,7 @@ class Model(NotCopied):
 
     @property
     def gpu_bytes(self) -> dict[str, int]:
-        """Bytes in GPU memory by purpose: geometry, weights, materials, levels (vertices and indices)."""
+        """Bytes in GPU memory by purpose: geometry, weights, morphs, materials, levels (vertices and indices)."""
 
         def total(*names: str) -> int:
             return sum(texture_bytes(self.textures[name]) for name in names if name in self.textures)
@@ -298,6 +354,7 @@ class Model(NotCopied):
         return {
             "position": total("position_texture"),
             "weights": total("weight_cells", "weight_records", "joint_records"),
+            "morphs": total("morph_numbers") + (0 if self._morph_sums is None else texture_bytes(self._morph_sums)),
             "levels": sum(lod.nbytes for lod in self.lods),
             "normal": sum(level.nbytes for level in self.channels.textures["normal"]),
             "colors": sum(
@@ -315,7 +372,7 @@ class Model(NotCopied):
         if not can_free_now:
             return
         self.levels.release()
-        for thing in [*self._owned, self._joint_texture]:
+        for thing in [*self._owned, self._joint_texture, self._morph_sums]:
             if thing is not None:
                 thing.release()
         self._owned.clear()

@@ -33,6 +33,8 @@ TEXTURE_UNITS = {
     "orm_texture": 7,
     "emissive_texture": 8,
     "reflection_texture": 9,
+    "morph_numbers": 10,
+    "morph_sums": 11,
 }
 NUM_TEXTURE_UNITS = len(TEXTURE_UNITS)
 _DTYPES = {"uint8": "f1", "uint16": "nu2", "float16": "f2", "float32": "f4"}

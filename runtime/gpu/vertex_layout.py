@@ -54,8 +54,12 @@ STEP_DEFINES = {UVS_IN_STEPS: "UV_STEPS", CANONICAL_UVS_IN_STEPS: "CANONICAL_STE
 # Instance records; the attributes that follow are their fields, in the same order.
 ACTOR_INSTANCE = np.dtype([("rows", "<f4", (3, 4)), ("tint", "<f4", 4), ("pose", "<i4"), ("level", "<i4")])
 ACTOR_ATTRIBUTES = (*WORLD_ROWS, Attribute("in_tint", "4f4"), Attribute("in_pose_and_level", "2i4"))
-CROWD_INSTANCE = np.dtype([("rows", "<f4", (3, 4)), ("pose_row", "<f4"), ("tint", "u1", 4)])
-CROWD_ATTRIBUTES = (*WORLD_ROWS, Attribute("in_pose_row", "1f4"), Attribute("in_tint", "4f1"))
+CROWD_INSTANCE = np.dtype([("rows", "<f4", (3, 4)), ("pose_row", "<f4"), ("tint", "u1", 4), ("actor", "<f4")])
+CROWD_ATTRIBUTES = (
+    *WORLD_ROWS,
+    *(Attribute("in_pose_row", "1f4"), Attribute("in_tint", "4f1"), Attribute("in_actor", "1f4")),
+)
+MORPH_LISTS = (Attribute("in_morph_list", "2u4"),)  # of a crowd's vertex: its first record, and how many
 
 
 def step_defines(attributes: Sequence[Attribute]) -> dict[str, int]:

@@ -1,6 +1,6 @@
 """Draws actors into the framebuffer that is bound, and leaves the GL state as it found it.
 
-Used meanwhile, and put back after: texture units 0 to 9 (`runtime.gpu.textures.TEXTURE_UNITS`), uniform buffer binding
+Used meanwhile, and put back after: texture units 0 to 11 (`runtime.gpu.textures.TEXTURE_UNITS`), uniform buffer binding
 points 0 and 1, the program, vertex array and buffers that are bound, culling, depth, blending and polygon state.
 The framebuffer, its viewport, scissor, stencil and colour masks are the caller's and only respected.
 """
@@ -300,6 +300,8 @@ class Renderer(NotCopied):
         is_dual = self.skinning == "dual_quaternion"
         texels = joint_texels(batch.joint_rows) if is_dual else batch.joint_rows
         model.joint_texture(np.ascontiguousarray(texels, np.float32))
+        if batch.morph_weights is not None:
+            model.write_morphs(batch.morph_weights)
 
     def _require_usable(self) -> None:
         if self._released:

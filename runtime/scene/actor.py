@@ -6,7 +6,7 @@ Letters in shapes: A actors, J joints, N nodes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 import numpy as np
@@ -301,10 +301,36 @@ class Actor(NotCopied):
         """Set local rotations from code (IK, looking at): (J, 4) xyzw, NaN where one keeps its own; None undoes."""
         self._mixer.set_rotations(self.row, rotations)
 
+    # Morphs
+
+    def set_morph_weights(self, weights: Mapping[str, float | None] | ArrayLike | None) -> None:
+        """Set morph targets (blend shapes) from code, over what clips say of them.
+
+        Parameters
+        ----------
+        weights : mapping of names to weights, (M,) float, or None
+            Morphs that a mapping does not name stay as they were. None for a name, NaN in an array, gives a morph back
+            to the clips; None for all gives all back. Weights below 0 and above 1 are taken as they are, up to 100.
+
+        Raises
+        ------
+        ValueError
+            When there is no such morph (`asset.morph_names` has them), or a weight is not finite or too large.
+        """
+        self._mixer.set_morph_weights(self.row, weights)
+
+    @property
+    def morph_weights(self) -> dict[str, float]:
+        """Weight of each morph as it is drawn now, by name."""
+        if not self._mixer.skeleton.morphs:
+            return {}
+        return dict(zip(self._mixer.skeleton.morphs, self._mixer.morph_weights(self.row)[0].tolist()))
+
     @property
     def bounds(self) -> Floats:
         """Box that holds the current pose, (2, 3) float32, object space, metres."""
-        result: Floats = self.model.joint_boxes.around(self._mixer.joint_rows(self.row))[0]
+        weights = self._mixer.morph_weights(self.row) if self._mixer.skeleton.morphs else None
+        result: Floats = self.model.joint_boxes.around(self._mixer.joint_rows(self.row), weights)[0]
         return result
 
     def release(self) -> None:

@@ -32,6 +32,8 @@ class ActorBatch:
         Boxes in whose convex hull the pose lies, one a joint that moves anything, object space: three half edges and
         the middle of each, as columns.
     tints : (A, 4) float32
+    morph_weights : (A, M) float32 or None
+        Where the character has morphs.
     """
 
     actors: tuple[Actor, ...]
@@ -39,6 +41,7 @@ class ActorBatch:
     joint_rows: Floats
     parts: Floats
     tints: NDArray[np.float32]
+    morph_weights: Floats | None = None
 
     @property
     def bounds(self) -> Floats:
@@ -85,7 +88,8 @@ def gather(actors: Iterable[Actor]) -> list[tuple[Any, ActorBatch]]:
         if not np.vdot(transforms, transforms) <= FARTHEST**2:  # one call tells of nearly all; NaN is not
             refuse_broken_transforms(listed)
         rows = model.mixer.joint_rows([actor.row for actor in group])
-        parts = model.joint_boxes.carried(rows)
+        morphs = model.mixer.morph_weights([actor.row for actor in group]) if model.mixer.skeleton.morphs else None
+        parts = model.joint_boxes.carried(rows, morphs)
         if not parts.shape[3]:
             parts = np.zeros((len(rows), 3, 4, 1), rows.dtype)
         batch = ActorBatch(
@@ -94,6 +98,7 @@ def gather(actors: Iterable[Actor]) -> list[tuple[Any, ActorBatch]]:
             joint_rows=rows,
             parts=parts,
             tints=np.array([actor._tint for actor in group]),
+            morph_weights=morphs,
         )
         batches.append((model, batch))
     return batches

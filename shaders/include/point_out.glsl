@@ -3,6 +3,9 @@
 #define POINT_OUT_GLSL
 
 #include "joint_color.glsl"
+#ifdef MORPHS
+#include "morphs.glsl"
+#endif
 
 out vec2 surface_uv;
 #ifdef NORMAL_UV
@@ -41,12 +44,19 @@ vec3 blend_joint_colors(vec2 uv) {
 void emit_point(vec2 uv, vec2 geometry_uv, mat3x4 world_from_object, vec4 tint, ivec2 numbers) {
     vec3 rest = rest_position(geometry_uv);
     mat3x4 pose = blend_joints(geometry_uv, numbers.x);
+#ifdef MORPHS
+    mat3x4 morph = morph_at(geometry_uv, textureSize(position_texture, 0), numbers.x);
+    rest = morphed_point(morph, rest);
+#endif
     PRECISE vec3 position = transform_point(world_from_object, transform_point(pose, rest));
     PRECISE vec4 projected = clip_from_world * vec4(position, 1.0);
     gl_Position = projected;
     surface_uv = uv;
     surface_position = position;
     surface_normal_matrix = normal_matrix(world_from_object) * pose_normal_matrix(pose);
+#ifdef MORPHS
+    surface_normal_matrix = surface_normal_matrix * morph_turn(morph);
+#endif
     surface_rest = rest;
     surface_tint = tint;
     surface_level = numbers.y;

@@ -84,13 +84,13 @@ def _average(
 ) -> NDArray[np.float32]:
     """The box filter of a stored level over its used texels, in linear light where values are sRGB."""
     scale = np.float32(levels or 1)
-    light = np.empty(stored.shape, np.float32)
+    light: NDArray[Any] = np.empty(stored.shape, np.float32)
     if srgb_channels and levels == 255:
         table = srgb_to_linear(np.arange(256, dtype=np.float32) / scale).astype(np.float32)
         light[..., :srgb_channels] = table[stored[..., :srgb_channels]]
     elif srgb_channels:
         light[..., :srgb_channels] = srgb_to_linear(stored[..., :srgb_channels] / scale)
     light[..., srgb_channels:] = stored[..., srgb_channels:] / scale
-    small = shrink(light, used, *size)
+    small: NDArray[Any] = shrink(light, used, *size)
     small[..., :srgb_channels] = linear_to_srgb(small[..., :srgb_channels])
     return small
