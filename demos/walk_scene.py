@@ -83,7 +83,7 @@ class WalkScene:
         self.unit_m = character_size(box)
         self.sole_m = float(box[0, 1])
         self._choose_clips()
-        lighting = runtime.Lighting(sun_direction=EVENING.sun, sun_color=(1.9, 1.25, 0.85), exposure=0.75)
+        lighting = runtime.Lighting(sun_direction=EVENING.sun, sun_color=(0.91, 0.60, 0.41), exposure=1.4)
         self.renderer = runtime.Renderer(ctx, lighting=lighting)
         self.hero = self.model.actor(clip=self.idle, root_motion="turn")
         self.hero_place, self.heading = np.zeros(3), 0.0

@@ -13,6 +13,7 @@ import logging
 import os
 import sys
 import traceback
+import warnings
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -65,7 +66,8 @@ def main(arguments: Sequence[str]) -> int:
             stream.reconfigure(errors="replace")
     compile_quickly()
     try:
-        with stops_as_interrupts():
+        # NumPy's warnings are of values that a stage deals with: the lines here are ours.
+        with warnings.catch_warnings(action="ignore"), stops_as_interrupts():
             status = _run(list(arguments))
         sys.stdout.flush()
         return status
@@ -75,7 +77,7 @@ def main(arguments: Sequence[str]) -> int:
     except InputError as error:
         return _refuse(str(error))
     except KeyboardInterrupt as interrupt:  # a command that has written something says what
-        print(f"preprocess: interrupted; {interrupt or 'nothing was written'}", file=sys.stderr)
+        print(f"preprocess: interrupted; {str(interrupt) or 'nothing was written'}", file=sys.stderr)
         return 130
     except Exception as error:
         surroundings = _name_surroundings(error)

@@ -80,7 +80,7 @@ def build(model: Path, destination: Path, settings: Settings, progress: Progress
     """
     with atomic_folder(destination) as folder:
         with progress.stage("load") as stage:
-            character = load_character(model)
+            character = load_character(model, settings.limits)
             mesh = character.mesh
             stage.delta = (
                 f"{mesh.num_faces} faces, {character.skeleton.num_joints} joints, {len(character.clips)} clips"

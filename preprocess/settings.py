@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from runtime.gltf.limits import LIMITS, Limits
+
 AtlasMode = Literal["auto", "keep", "repack", "unwrap"]
 SeamMode = Literal["local", "global"]
 
@@ -44,6 +46,8 @@ class Settings:
         a painted border and left: what is meant to agree seldom differs by a sixth of the range. None: all are joined.
     report : bool
         Write report.html.
+    limits : Limits
+        The most that the file may say or ask for.
     """
 
     atlas: AtlasMode = "auto"
@@ -60,6 +64,7 @@ class Settings:
     ktx2: bool = False
     keep_borders: float | None = 0.15
     report: bool = False
+    limits: Limits = LIMITS
 
 
 # Accuracy that automatic sizes must reach at the vertices of the full mesh, as fractions of the bounding diagonal.

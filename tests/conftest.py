@@ -25,6 +25,10 @@ KINDS = ("Buffer", "Texture", "VertexArray", "Framebuffer", "Renderbuffer", "Pro
 HIGHEST_NAME = 4096  # names are handed out from 1 upwards; tests never come near this
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--renew-goldens", action="store_true", help="draw the golden images anew (tests/golden)")
+
+
 def asset(name: str) -> Path:
     """A test character, or a skip that says which file is missing."""
     path = ASSETS / name

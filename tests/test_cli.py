@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import itertools
 import json
+import os
 import struct
 import subprocess
 import sys
@@ -173,6 +174,21 @@ def test_batch_builds_all_and_names_the_bad_one(tmp_path: Path) -> None:
     refused(done, "1 of 2")
     assert (tmp_path / "out" / "Fox.seamless" / "manifest.json").is_file()
     assert not (tmp_path / "out" / "bad.seamless").exists()
+
+
+def test_limits_are_options(tmp_path: Path) -> None:
+    bar = bent_bar(tmp_path / "bar.glb")
+    refused(preprocess(bar, "-o", tmp_path / "out", "--limit", "triangles=10"), "more than 10 triangles")
+    refused(preprocess(bar, "-o", tmp_path / "out", "--limit", "file_bytes=9"), "more than 9")
+    refused(preprocess(bar, "-o", tmp_path / "out", "--limit", "magic=9"), "NAME=VALUE with one of number")
+
+
+def test_a_pipe_is_told_from_a_missing_file(tmp_path: Path) -> None:
+    if not hasattr(os, "mkfifo"):
+        pytest.skip("no named pipes here")
+    os.mkfifo(tmp_path / "bar.glb")
+    refused(preprocess(tmp_path / "bar.glb", "-o", tmp_path / "out"), "it is a pipe: save its content as a file")
+    refused(preprocess(tmp_path, "-o", tmp_path / "out"), "it is a folder")
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 from pathlib import Path
@@ -14,6 +15,7 @@ from preprocess.errors import InputError
 from preprocess.files.images import Image, read_image, write_image
 from runtime.asset.asset import load
 from runtime.errors import AssetError
+from runtime.gltf.limits import Limits
 from runtime.gltf.png_check import find_png_fault
 
 
@@ -112,3 +114,35 @@ def test_a_folder_that_does_not_exist(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=rf"^cannot write a\.{extension}: ") as caught:
             write_image(tmp_path / "nowhere" / f"a.{extension}", Image(np.zeros((4, 4, 3), np.float32), "float"))
         assert str(tmp_path) not in str(caught.value)
+
+
+@pytest.mark.parametrize("damage", ["header", "filter"])
+def test_libraries_are_kept_from_standard_error(tmp_path: Path, capfd: pytest.CaptureFixture[str], damage: str) -> None:
+    """Whole chunks with right checksums, which libpng refuses in a line of its own."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    size = 0 if damage == "header" else 4
+    header = struct.pack(">IIBBBBB", size, size, 8, 2, 0, 0, 0)
+    rows = zlib.compress(b"".join(b"\x09" + b"abc" * 4 for _ in range(4)))
+    data = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+    (tmp_path / "a.png").write_bytes(data)
+    with pytest.raises(InputError, match="does not decode") as refusal:
+        read_image(tmp_path / "a.png", "a.png")
+    assert "\n" not in str(refusal.value) and capfd.readouterr() == ("", "")
+    os.write(2, b"ours")
+    assert capfd.readouterr().err == "ours"
+
+
+def test_sizes_and_values_have_limits(tmp_path: Path) -> None:
+    write_image(tmp_path / "a.png", Image(np.zeros((8, 16, 3))))
+    with pytest.raises(InputError, match="16 x 8 x 1 of 3 channels, too large"):
+        read_image(tmp_path / "a.png", limits=Limits(image_texels=100))
+    texels = np.zeros((4, 4, 3))
+    texels[2, 1, 0] = np.nan
+    write_image(tmp_path / "a.exr", Image(texels, "float"))
+    with pytest.raises(InputError, match="the first at column 1, row 2, channel 0"):
+        read_image(tmp_path / "a.exr")
+    with pytest.raises(InputError, match="it is a folder"):
+        read_image(tmp_path)

@@ -15,6 +15,7 @@ import runtime
 from preprocess.cli import main
 from preprocess.errors import InputError
 from preprocess.load import load_character
+from preprocess.load.pose_sampling import sample_poses
 from runtime.gltf.limits import Limits
 
 
@@ -171,3 +172,39 @@ def test_joints_that_an_exporter_stored_as_floats(tmp_path: Path) -> None:
     part["attributes"]["JOINTS_0"] = builder.accessor(np.tile([np.nan, 0, 0, 0], (4, 1)))
     with pytest.raises(InputError, match="JOINTS are not whole numbers"):
         load_character(builder.write(tmp_path / "a.glb"))
+
+
+def test_mesh_and_joints_of_scales_that_disagree(tmp_path: Path) -> None:
+    """Clips that move a part by millions of its sizes are left out; a rest pose that does is refused."""
+    builder = GltfBuilder()
+    top = block(builder, scale=[1e-5, 1e-5, 1e-5])
+    builder.clip("near", (top, "translation", "LINEAR", [0, 1], [[0, 0, 0], [1, 0, 0]]))
+    builder.clip("far", (top, "translation", "LINEAR", [0, 1], [[0, 0, 0], [100, 0, 0]]))
+    character = load_character(builder.write(tmp_path / "a.glb"))
+    assert [clip.name for clip in character.clips] == ["near"]
+    assert any("clip 'far' left out: it moves parts by" in line for line in character.warnings)
+    builder, shape = GltfBuilder(), grid(1, 1)
+    part = builder.primitive(
+        shape["positions"] * 1e-10,
+        shape["faces"],
+        JOINTS_0=np.tile([0, 1, 0, 0], (4, 1)),
+        WEIGHTS_0=np.tile([0.5, 0.5, 0, 0], (4, 1)),
+    )
+    root = builder.node()
+    tip = builder.node(root, translation=[0, 1, 0])
+    builder.node(mesh=builder.mesh(part), skin=builder.skin([root, tip]))
+    with pytest.raises(InputError, match="its joints at rest move parts by"):
+        load_character(builder.write(tmp_path / "a.glb"))
+
+
+def test_joints_that_move_something_come_first(tmp_path: Path) -> None:
+    """Of three thousand that a skin lists, the pipeline carries the two that the mesh uses."""
+    builder, shape = GltfBuilder(), grid(1, 1)
+    nodes = [builder.node(name=f"joint {number}") for number in range(3000)]
+    part = builder.primitive(shape["positions"], shape["faces"], WEIGHTS_0=np.tile([0.5, 0.5, 0, 0], (4, 1)))
+    part["attributes"]["JOINTS_0"] = builder.accessor(np.tile([2999, 7, 0, 0], (4, 1)), np.uint16)
+    builder.node(mesh=builder.mesh(part), skin=builder.skin(nodes))
+    character = load_character(builder.write(tmp_path / "a.glb"))
+    assert character.skeleton.joint_names[:3] == ("joint 7", "joint 2999", "joint 0")
+    assert character.skeleton.num_joints == 3000 and character.mesh.num_moving_joints == 2
+    assert sample_poses(character).shape == (1, 2, 4, 4)

@@ -10,10 +10,12 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from preprocess.commands.build_arguments import add_build_arguments, settings_from
+from preprocess.commands.build_arguments import add_build_arguments, limits_from, settings_from
 from preprocess.errors import InputError
 from preprocess.files.output_folder import check_destination
 from preprocess.progress import Progress
+from runtime.errors import AssetError
+from runtime.gltf.local_files import check_regular
 
 if TYPE_CHECKING:
     from preprocess.pipeline import BuildResult
@@ -89,8 +91,10 @@ def run(arguments: argparse.Namespace) -> int:
         If the model or the destination is at fault.
     """
     model: Path = arguments.model
-    if not model.is_file():
-        raise InputError(f"{model}: no such file: name a .gltf, .glb or .vrm file")
+    try:
+        check_regular(model, limits_from(arguments).file_bytes)
+    except AssetError as error:
+        raise InputError(error) from None
     destination: Path = arguments.output or Path(f"{model.stem}.seamless")
     check_destination(destination)
     print(f"{model.name} → {destination}", file=sys.stderr, flush=True)

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 
 from preprocess.settings import Settings
+from runtime.gltf.limits import LIMITS, Limits
+
+LIMIT_NAMES = tuple(field.name for field in dataclasses.fields(Limits))
 
 
 def size(text: str) -> int | None:
@@ -61,6 +65,36 @@ def _fraction(text: str, what: str) -> float:
     return value
 
 
+def limit(text: str) -> tuple[str, float]:
+    """One of the limits and its value, from NAME=VALUE."""
+    name, _, number = text.partition("=")
+    try:
+        value = float(number)
+    except ValueError:
+        value = -1.0
+    if name not in LIMIT_NAMES or not 0 < value < 1e300:
+        raise argparse.ArgumentTypeError(f"NAME=VALUE with one of {', '.join(LIMIT_NAMES)}, not {text[:80]!r}")
+    return name, value
+
+
+def add_limit_argument(parser: argparse.ArgumentParser) -> None:
+    """The option for what a file may say or ask for."""
+    parser.add_argument(
+        "--limit",
+        type=limit,
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="most that the file may say or ask for: " + ", ".join(LIMIT_NAMES),
+    )
+
+
+def limits_from(arguments: argparse.Namespace) -> Limits:
+    """The limits with those that were given."""
+    kinds = {name: type(value) for name, value in dataclasses.asdict(LIMITS).items()}
+    return dataclasses.replace(LIMITS, **{name: kinds[name](value) for name, value in arguments.limit})
+
+
 def add_build_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of a build, shared by `build` and `batch`."""
     default = Settings()
@@ -103,6 +137,7 @@ def add_build_arguments(parser: argparse.ArgumentParser) -> None:
         help="leave colour seams whose sides differ by more than T of the range: painted borders (default 0.15)",
     )
     parser.add_argument("--report", action="store_true", help="write report.html")
+    add_limit_argument(parser)
     parser.add_argument("-v", "--verbose", action="store_true", help="log what each stage does")
 
 
@@ -123,4 +158,5 @@ def settings_from(arguments: argparse.Namespace) -> Settings:
         ktx2=arguments.ktx2,
         keep_borders=arguments.keep_borders,
         report=arguments.report,
+        limits=limits_from(arguments),
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from preprocess.commands.build_arguments import add_limit_argument, limits_from
 from preprocess.decimate.chain import check_target, decimate_to, decimate_within
 from preprocess.decimate.levels import Chain, DecimateOptions, Strictness
 from preprocess.decimate.topology import check_surface
@@ -41,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=Strictness.SEAMLESS.value,
         help="keep nothing of the uv map's outlines, their shape, or their timing too (default: seamless)",
     )
+    add_limit_argument(parser)
     parser.add_argument(
         "--seam-tolerance",
         type=float,
@@ -98,10 +100,10 @@ def run(arguments: argparse.Namespace) -> None:
     if arguments.output.suffix.lower() != ".obj":
         raise InputError(f"{arguments.output}: decimated meshes are written as OBJ: give a name that ends in .obj")
     check_not_input(arguments.output, [arguments.mesh])
-    source = read_surface(arguments.mesh)
+    source = read_surface(arguments.mesh, limits_from(arguments))
     check_surface(source)
     with tell_of_compiling():
-        surface, looks = _straightened(source, read_looks(arguments.mesh), arguments.straighten)
+        surface, looks = _straightened(source, read_looks(arguments.mesh, limits_from(arguments)), arguments.straighten)
         chain, requested = _decimated(surface, arguments, len(source.faces))
     lod = chain.lods[0]
     write_obj(arguments.output, lod.surface, looks.of(lod.face_source) if looks else None)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from preprocess.commands.build_arguments import add_limit_argument, limits_from
 from preprocess.erase.eraser import Eraser
 from preprocess.erase.mips import erase_mips
 from preprocess.erase.options import GLOBAL, LOCAL, EraseOptions
@@ -23,8 +24,12 @@ from preprocess.erase.seam_samples import SeamMeasure
 from preprocess.errors import InputError
 from preprocess.files.images import Image, read_image, write_image
 from preprocess.files.output_folder import check_not_input, partial_folder
+from preprocess.files.quiet import quiet_libraries
 from preprocess.mesh.seams import Seams, count_crowded_edges, find_seams
 from preprocess.mesh.surface import TexturedSurface
+from runtime.errors import AssetError
+from runtime.gltf.limits import Limits
+from runtime.gltf.local_files import check_regular
 
 logger = logging.getLogger(__name__)
 
@@ -66,6 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--report", type=Path, default=None, metavar="PNG", help="picture of the seams joined (green) and left (red)"
     )
+    add_limit_argument(parser)
 
 
 def _available_bytes() -> int | None:
@@ -90,14 +96,17 @@ def _read_size(path: Path) -> tuple[int, int, int, str]:
     """Width, height, channels and stored type of an image file, from its header alone."""
     import OpenImageIO as oiio
 
-    if not path.is_file():
-        raise InputError(f"{path}: no such file: give an image")
-    reader = oiio.ImageInput.open(str(path))
-    if reader is None:
-        reason = (oiio.geterror() or "unknown format").splitlines()[0]
-        raise InputError(f"{path.name} does not decode ({reason}): save it as PNG, JPEG, TIFF or EXR")
-    spec = reader.spec()
-    reader.close()
+    try:
+        check_regular(path)
+    except AssetError as error:
+        raise InputError(error) from None
+    with quiet_libraries():
+        reader = oiio.ImageInput.open(str(path))
+        if reader is None:
+            reason = (oiio.geterror() or "unknown format").splitlines()[0]
+            raise InputError(f"{path.name} does not decode ({reason}): save it as PNG, JPEG, TIFF or EXR")
+        spec = reader.spec()
+        reader.close()
     return spec.width, spec.height, spec.nchannels, str(spec.format)
 
 
@@ -118,25 +127,11 @@ def _check_memory(path: Path, surface: TexturedSurface, seams: Seams, mips: bool
         )
 
 
-def _read_texels(path: Path) -> Image:
-    """An image with integers as stored, checked for texels that are no numbers."""
-    image = read_image(path, path.name, native=True)
-    if image.texels.dtype.kind == "f":
-        bad = ~np.isfinite(image.texels)
-        if bad.any():
-            row, column, channel = (int(a[0]) for a in np.nonzero(bad))
-            raise InputError(
-                f"{path.name}: {int(bad.sum())} texel values are not finite (the first at column {column}, row {row}, "
-                f"channel {channel}): repair the image first"
-            )
-    return image
-
-
-def _read_mesh(path: Path) -> tuple[TexturedSurface, Seams, bool]:
+def _read_mesh(path: Path, limits: Limits) -> tuple[TexturedSurface, Seams, bool]:
     """Mesh, seams, and whether its uvs leave the image, so that samples wrap."""
     from preprocess.load.read_surface import read_surface
 
-    surface = read_surface(path)
+    surface = read_surface(path, limits)
     if not len(surface.faces) or not len(surface.uvs):
         raise InputError(f"{path.name}: no faces with texture coordinates: unwrap the mesh first")
     wraps = bool(surface.uvs.min() < 0 or surface.uvs.max() > 1)
@@ -181,7 +176,7 @@ class _Job:
     """One mesh, its options, and the erasers made so far: images of one size share one."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:
-        self.surface, self.seams, wraps = _read_mesh(arguments.mesh)
+        self.surface, self.seams, wraps = _read_mesh(arguments.mesh, limits_from(arguments))
         self.options = EraseOptions(
             weights=GLOBAL if arguments.is_global else LOCAL, seam_value=arguments.seam_value, repeat=wraps
         )
@@ -279,7 +274,7 @@ def run(arguments: argparse.Namespace) -> None:
     with partial_folder(folder, "erase") as partial:
         made: list[Path] = []
         for source, path in zip(arguments.images, paths, strict=True):
-            image = _read_texels(source)
+            image = read_image(source, source.name, native=True, limits=limits_from(arguments))
             levels = job.erase(image, source.name)
             if not len(job.seams.vertices) and len(levels) == 1 and source.suffix == path.suffix:
                 shutil.copyfile(source, partial / path.name)

@@ -8,6 +8,7 @@ import json
 import logging
 from pathlib import Path
 
+from preprocess.commands.build_arguments import add_limit_argument, limits_from
 from preprocess.errors import InputError
 from preprocess.files.images import Image, read_image, write_image
 from preprocess.files.obj import read_looks, write_obj
@@ -40,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="D",
         help="bound on a face's change of shape, 1 and up (default %(default)s)",
     )
+    add_limit_argument(parser)
     parser.add_argument("-v", "--verbose", action="store_true", help="log what is done")
 
 
@@ -80,12 +82,12 @@ def run(arguments: argparse.Namespace) -> int:
     twice = sorted({name for name in taken if taken.count(name) > 1})
     if twice:
         raise InputError(f"two outputs would be named {twice[0]}: rename one of the inputs")
-    surface = read_surface(arguments.mesh)
-    images = [read_image(path, path.name) for path in arguments.images]
+    surface = read_surface(arguments.mesh, limits_from(arguments))
+    images = [read_image(path, path.name, limits=limits_from(arguments)) for path in arguments.images]
     with tell_of_compiling():
         result = straighten(surface, arguments.tolerance, most_distortion=arguments.most_distortion)
     with atomic_folder(destination) as folder:
-        looks = read_looks(arguments.mesh)
+        looks = read_looks(arguments.mesh, limits_from(arguments))
         if looks is not None:
             looks = _bring_libraries(looks.of(result.split.face_source), folder, destination, names)
         write_obj(folder / mesh_name, result.surface, looks)

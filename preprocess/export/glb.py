@@ -8,6 +8,7 @@ is the place of its normal, and of colours that were painted there (docs/format.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -176,6 +177,16 @@ def _add_skin(
     return skin, roots
 
 
+def _with_channel(clip: Clip, skeleton: Skeleton) -> Clip:
+    """A clip that moves nothing, with a still node: glTF wants a channel, and clips keep their numbers."""
+    free = np.setdiff1d(np.arange(skeleton.num_nodes), skeleton.matrix_nodes)
+    if clip.tracks or not len(free):
+        return clip
+    times, node = np.unique([0.0, clip.duration_s]), int(free[0])
+    still = Track(node, "scale", "LINEAR", times, np.tile(skeleton.scale[node], (len(times), 1)))
+    return replace(clip, tracks=(still,))
+
+
 def _weight_keys(tracks: Sequence[Track], rest: Sequence[float]) -> tuple[str, NDArray[Any], NDArray[Any]]:
     """Tracks of single morphs as one of all: interpolation, times (K,), values (K, M), or (3 K, M) for CUBICSPLINE.
 
@@ -285,6 +296,17 @@ def _describe_mesh(
     return {"name": name, "primitives": primitives}
 
 
+def _drawing_order(
+    face_source: NDArray[np.integer], face_draws: NDArray[np.int64], materials: Sequence[Mapping[str, Any]]
+) -> NDArray[np.int64]:
+    """Order of a level's faces, (F,): as the file has them where they are blended, since the order is seen there.
+
+    Others stay in the order that suits vertex caches.
+    """
+    is_blended = np.array([material.get("alphaMode") == "BLEND" for material in materials])
+    return np.argsort(np.where(is_blended[face_draws], face_source, np.arange(len(face_source))), kind="stable")
+
+
 def screen_coverage(lods: Sequence[Lod], diagonal_m: float) -> list[float]:
     """Share of the screen's area above which each level is wanted (MSFT_lod's hint), the finest first.
 
@@ -353,7 +375,9 @@ def describe_model(
     for name, lod, level in zip(names, lods, levels):
         face_draws = draw_of_material[mesh.face_materials[lod.face_source]]
         nodes.append({"name": name, "mesh": len(meshes), "skin": 0})
-        meshes.append(_describe_mesh(name, level, face_draws, buffer, second_uvs))
+        order = _drawing_order(lod.face_source, face_draws, materials)
+        level = replace(level, faces=level.faces[order])
+        meshes.append(_describe_mesh(name, level, face_draws[order], buffer, second_uvs))
         if level.targets:
             meshes[-1]["weights"] = list(skeleton.morph_weights)
             meshes[-1]["extras"] = {"targetNames": list(skeleton.morphs)}
@@ -365,7 +389,10 @@ def describe_model(
             nodes[first]["extras"] = {"MSFT_screencoverage": coverage}
         extensions.add("MSFT_lod")
     level_nodes = range(first, len(nodes))
-    described = [_describe_clip(clip, buffer, level_nodes, skeleton.morph_weights) for clip in character.clips]
+    described = [
+        _describe_clip(_with_channel(clip, skeleton), buffer, level_nodes, skeleton.morph_weights)
+        for clip in character.clips
+    ]
     clips = [spec for spec in described if spec is not None]
     buffer.finish()
 

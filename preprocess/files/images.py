@@ -11,6 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from preprocess.errors import InputError
+from preprocess.files.quiet import quiet_libraries
+from runtime.errors import AssetError
+from runtime.gltf.limits import LIMITS, Limits
+from runtime.gltf.local_files import read_regular
 from runtime.gltf.png_check import find_png_fault
 
 
@@ -41,7 +45,14 @@ class Image:
         return {"uint8": 255, "uint16": 65535}.get(self.format, 0)
 
 
-def read_image(source: Path | bytes, what: str = "image", *, native: bool = False) -> Image:
+def read_image(
+    source: Path | bytes,
+    what: str = "image",
+    *,
+    native: bool = False,
+    limits: Limits = LIMITS,
+    most_texels: int | None = None,
+) -> Image:
     """Decode an image file, or the bytes of one.
 
     Parameters
@@ -51,31 +62,58 @@ def read_image(source: Path | bytes, what: str = "image", *, native: bool = Fals
         How error messages name the image.
     native : bool
         Keep 8- and 16-bit integers as they are.
+    limits : Limits
+    most_texels : int, optional
+        Of the image, asked before it is decoded; the limit's by default.
 
     Raises
     ------
     InputError
-        If it is missing or does not decode.
+        If it is missing, too large, does not decode or holds values that are not finite.
     """
+    most = limits.image_texels if most_texels is None else most_texels
     if isinstance(source, bytes):  # OpenImageIO's Python module reads files only
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / _guess_name(source, what)
             path.write_bytes(source)
-            return _decode(path, what, native)
-    if not source.is_file():
-        raise InputError(f"{what}: no such file: {source}")
-    return _decode(source, what, native)
+            return _decode(path, what, native, limits, most)
+    return _decode(source, what, native, limits, most)
 
 
-def _decode(source: Path, what: str, native: bool) -> Image:
-    import OpenImageIO as oiio
-
+def _decode(source: Path, what: str, native: bool, limits: Limits, most: int) -> Image:
     try:
-        fault = find_png_fault(source.read_bytes())
-    except OSError as error:
-        raise InputError(f"{what} cannot be read: {error.strerror}") from None
+        data = read_regular(source, limits.file_bytes)
+    except AssetError as error:
+        raise InputError(error) from None
+    fault = find_png_fault(data)
     if fault:
         raise InputError(f"{what} does not decode: {fault}: save it again")
+    with quiet_libraries():
+        image = _decode_file(source, what, native, most)
+    check_finite(image.texels, what)
+    return image
+
+
+def check_finite(texels: NDArray[Any], what: str) -> None:
+    """Refuse texels (H, W, C) that are no numbers.
+
+    Raises
+    ------
+    InputError
+        With the first that is not.
+    """
+    if texels.dtype.kind == "f" and not np.isfinite(texels).all():
+        bad = ~np.isfinite(texels)
+        row, column, channel = (int(a[0]) for a in np.nonzero(bad))
+        raise InputError(
+            f"{what}: {int(bad.sum())} texel values are not finite (the first at column {column}, row {row}, "
+            f"channel {channel}): repair the image first"
+        )
+
+
+def _decode_file(source: Path, what: str, native: bool, most_texels: int) -> Image:
+    import OpenImageIO as oiio
+
     config = oiio.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
     reader = oiio.ImageInput.open(str(source), config)
@@ -85,6 +123,11 @@ def _decode(source: Path, what: str, native: bool) -> Image:
     try:
         spec = reader.spec()
         stored = str(spec.format)
+        if spec.depth > 1 or spec.width * spec.height * max(1, spec.nchannels / 4) > most_texels:
+            raise InputError(
+                f"{what} is {spec.width} x {spec.height} x {spec.depth} of {spec.nchannels} channels, too large: make "
+                "it smaller, or raise --limit image_texels=N"
+            )
         kept = native and stored in ("uint8", "uint16")
         texels = reader.read_image(0, 0, 0, spec.nchannels, stored if kept else "float")
         if texels is None:

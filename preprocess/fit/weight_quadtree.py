@@ -22,6 +22,7 @@ from preprocess.fit.shared_records import share_corners
 from preprocess.mesh.seams import Seams
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.mesh.texels import sample_bilinear, uv_to_px
+from preprocess.numerics.jit import fixed_memory_entry
 from runtime.asset.weight_quadtree import WeightDetails, build_quadtree
 from runtime.asset.weight_stack import WEIGHT_STEPS, pack_weights, unpack_pairs, unpack_weights
 
@@ -65,15 +66,41 @@ def pose_moves(poses: Floats, diagonal_m: float) -> Floats:
     return poses[:, :, :3].transpose(1, 0, 2, 3).reshape(poses.shape[1], -1) / max(diagonal_m, 1e-30)
 
 
+@fixed_memory_entry
+def _find_exceeded(wrong, positions, allowed_rel, moves, exceeded):  # type: ignore[no-untyped-def]
+    """`_exceeded`, in place; moves are (J, P, 3, 4), and most weights are right."""
+    num_joints, num_poses = moves.shape[:2]
+    for n in range(len(wrong)):
+        allowed = allowed_rel[n]
+        largest = 0.0
+        for j in range(num_joints):
+            largest = max(largest, abs(wrong[n, j]))
+        exceeded[n] = largest > WEIGHT_ALLOWED * allowed
+        for p in range(num_poses if largest > 0.0 and not exceeded[n] else 0):
+            moved_sq = 0.0
+            for row in range(3):
+                moved = 0.0
+                for j in range(num_joints):
+                    if wrong[n, j] != 0.0:
+                        along = moves[j, p, row, 3]
+                        for k in range(3):
+                            along += moves[j, p, row, k] * positions[n, k]
+                        moved += wrong[n, j] * along
+                moved_sq += moved * moved
+            if moved_sq > allowed * allowed:
+                exceeded[n] = True
+                break
+
+
 def _exceeded(wrong: Floats, points: WeightPoints, moves: Floats) -> NDArray[np.bool_]:
     """Whether errors of weights, (N, J), are more than allowed at points: (N,) bool."""
-    rows = (wrong @ moves).reshape(len(wrong), moves.shape[1] // 12, 3, 4)
-    moved = np.einsum("npij,nj->npi", rows[..., :3], points.positions) + rows[..., 3]
-    moved_rel = np.sqrt((moved**2).sum(axis=2).max(axis=1))
-    result: NDArray[np.bool_] = (moved_rel > points.allowed_rel) | (
-        np.abs(wrong).max(axis=1) > WEIGHT_ALLOWED * points.allowed_rel
-    )
-    return result
+    exceeded = np.zeros(len(wrong), np.bool_)
+    matrices = moves.reshape(len(moves), -1, 3, 4)
+    _find_exceeded(
+        np.ascontiguousarray(wrong), np.ascontiguousarray(points.positions), np.ascontiguousarray(points.allowed_rel),
+        np.ascontiguousarray(matrices), exceeded,
+    )  # fmt: skip
+    return exceeded
 
 
 def _shares(fraction: Floats) -> Floats:

@@ -10,19 +10,25 @@ import hashlib
 import logging
 from pathlib import Path
 
+import numpy as np
+
 from preprocess.errors import InputError
 from preprocess.load.character import Character
 from preprocess.load.materials import note_missing_texcoords, read_materials
 from preprocess.load.mirrored import show_both_sides
 from preprocess.load.scene import read_scene
 from preprocess.load.unify import unify
+from preprocess.mesh.surface import SkinnedMesh
 from runtime.animation.clip import WEIGHTS, Clip, read_clips
-from runtime.animation.skeleton import distinct_names, read_skeleton
+from runtime.animation.pose import Pose, rest_pose, sample, skinning_matrices
+from runtime.animation.skeleton import Skeleton, distinct_names, read_skeleton
 from runtime.errors import AssetError
 from runtime.gltf.document import Document, read_document
 from runtime.gltf.limits import LIMITS, Limits
 
 log = logging.getLogger(__name__)
+
+KEYS_TO_LOOK_AT = 32  # of a clip: whether it moves parts within reach
 
 # Extensions that a file may require: read, or safe to leave out of a character.
 SUPPORTED_EXTENSIONS = (
@@ -76,6 +82,42 @@ def _distinct_clips(clips: tuple[Clip, ...], warnings: list[str]) -> tuple[Clip,
     return tuple(dataclasses.replace(clip, name=name) for clip, name in zip(moving, names))
 
 
+def _within_reach(
+    clips: tuple[Clip, ...], skeleton: Skeleton, mesh: SkinnedMesh, document: Document, warnings: list[str]
+) -> tuple[Clip, ...]:
+    """Clips that keep all parts within reach, at some of their keys; a warning for each of the others.
+
+    Raises
+    ------
+    InputError
+        If the rest pose does not.
+    """
+    positions, moving, size_m = mesh.surface.positions, mesh.num_moving_joints, mesh.surface.diagonal_m
+    middle = np.append(positions.min(axis=0) + 0.5 * np.ptp(positions, axis=0), 1.0)
+    reach_m = min(document.limits.reach * size_m, document.limits.number)
+
+    def furthest_m(pose: Pose) -> float:
+        with np.errstate(over="ignore", invalid="ignore"):
+            matrices = skinning_matrices(skeleton, pose)[:, :moving, :3]
+            return float(np.abs(matrices @ middle - middle[:3]).max())
+
+    at_rest_m = furthest_m(rest_pose(skeleton))
+    if not at_rest_m <= reach_m:
+        raise InputError(
+            f"{document.path.name}: its joints at rest move parts by {at_rest_m / size_m:.0e} times the mesh's size: "
+            "give mesh and joints one scale and export again"
+        )
+    kept = []
+    for clip in clips:
+        times = clip.key_times[:: -(-len(clip.key_times) // KEYS_TO_LOOK_AT)]
+        moved_m = furthest_m(sample(clip, skeleton, times))
+        if moved_m <= reach_m:
+            kept.append(clip)
+        else:
+            warnings.append(f"clip {clip.name!r} left out: it moves parts by {moved_m / size_m:.0e} times their size")
+    return tuple(kept)
+
+
 def _load(document: Document) -> Character:
     document.require_extensions(SUPPORTED_EXTENSIONS)
     scene = read_scene(document)
@@ -101,6 +143,7 @@ def _load(document: Document) -> Character:
     warnings += [fault.replace(f"{document.path}: ", "") for fault in faults]
     warnings += _dropped_channels(document, clips)
     clips = _distinct_clips(clips, warnings)
+    clips = _within_reach(clips, skeleton, mesh, document, warnings)
     mesh, materials = show_both_sides(mesh, materials, scene.parts, skeleton, clips, warnings)
     return Character(
         name=document.path.stem.encode("utf-8", "replace").decode(),

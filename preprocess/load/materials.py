@@ -71,7 +71,12 @@ class _Reader:
     def image(self, index: int) -> Image:
         if index not in self.images:
             what = f"{self.document.path.name}: image {index}"
-            self.images[index] = read_image(self.document.image_bytes(index), what)
+            left = self.document.limits.image_texels - sum(
+                image.texels.shape[0] * image.texels.shape[1] for image in self.images.values()
+            )
+            self.images[index] = read_image(
+                self.document.image_bytes(index), what, limits=self.document.limits, most_texels=left
+            )
         return self.images[index]
 
     def texture(self, info: Any, where: str) -> TextureRef | None:

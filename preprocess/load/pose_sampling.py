@@ -44,8 +44,7 @@ def _edges(mesh: SkinnedMesh) -> tuple[Floats, Floats, Floats]:
     faces = mesh.surface.faces
     ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
     ends = ends[:: -(-len(ends) // NUM_EDGES)]
-    num_joints = int(mesh.joint_indices.max(initial=0)) + 1
-    dense = mesh.dense_weights(num_joints)
+    dense = mesh.dense_weights(mesh.num_moving_joints)
     first, second = mesh.surface.positions[ends[:, 0]], mesh.surface.positions[ends[:, 1]]
     length = np.maximum(np.linalg.norm(first - second, axis=1), 1e-6 * mesh.surface.diagonal_m)
     middles = np.concatenate([0.5 * (first + second), np.ones((len(ends), 1))], axis=1) / length[:, None]
@@ -93,9 +92,13 @@ def choose_poses(
 
 
 def sample_poses(character: Character) -> Floats:
-    """Skinning matrices of the rest pose and of the moments of the clips that differ most, (P, J, 4, 4) float64."""
-    moments = _moments(character)
+    """Skinning matrices of the rest pose and of the moments of the clips that differ most, (P, J, 4, 4) float64.
+
+    Of the joints that move something: the mesh's `num_moving_joints`.
+    """
+    moving = character.mesh.num_moving_joints
+    moments = _moments(character)[:, :moving]
     most = min(max(MAX_POSES, POSED_FACES // character.mesh.num_faces), MOST_OF_SMALL)
     chosen = sorted(choose_poses(moments, *_edges(character.mesh), most))
     rest = skinning_matrices(character.skeleton, rest_pose(character.skeleton))
-    return np.concatenate([rest, moments[chosen]])
+    return np.concatenate([rest[:, :moving], moments[chosen]])

@@ -9,15 +9,18 @@ from preprocess.files.obj import read_obj
 from preprocess.files.other_meshes import SUFFIXES, read_other
 from preprocess.load.character_file import load_character
 from preprocess.mesh.surface import TexturedSurface
+from runtime.gltf.limits import LIMITS, Limits
 
 
-def read_surface(path: Path) -> TexturedSurface:
+def read_surface(path: Path, limits: Limits = LIMITS) -> TexturedSurface:
     """Read the textured surface of an OBJ, glTF, PLY, Collada, 3MF or OFF file.
 
     Parameters
     ----------
     path : Path
         `.obj`, `.gltf`, `.glb`, `.vrm`, or what trimesh reads (`other_meshes.SUFFIXES`).
+    limits : Limits
+        What a file may ask for.
 
     Returns
     -------
@@ -31,12 +34,12 @@ def read_surface(path: Path) -> TexturedSurface:
     """
     path = Path(path)
     if path.suffix.lower() == ".obj":
-        return read_obj(path)
+        return read_obj(path, limits)
     if path.suffix.lower() in SUFFIXES:
         return read_other(path)
     if path.suffix.lower() not in (".gltf", ".glb", ".vrm"):
         raise InputError(f"{path}: not a mesh that is read: give a .obj, .gltf, .glb, .vrm, {', '.join(SUFFIXES)} file")
-    mesh = load_character(path).mesh
+    mesh = load_character(path, limits).mesh
     if not mesh.has_uvs:
         raise InputError(f"{path.name}: a part has no texture coordinates: build it whole (python -m preprocess MODEL)")
     return mesh.surface

@@ -366,7 +366,7 @@ def _rest_weights(
 def read_scene(document: Document) -> Scene:
     """Read, bind and place everything with a mesh in the default scene.
 
-    Joints come in the order of the skins, then of the rigid parts.
+    Joints come in the order of the skins, then of the rigid parts; those that move something before all others.
 
     Raises
     ------
@@ -416,10 +416,25 @@ def read_scene(document: Document) -> Scene:
                 document.limits.number,
                 names.get(instance.node, ()),
             )
+    parts, order = _moving_first([placed[id(instance)] for instance in instances], len(binder.joints.nodes))
     return Scene(
-        parts=tuple(placed[id(instance)] for instance in instances),
-        joint_nodes=np.array(binder.joints.nodes, np.int64),
-        inverse_bind=np.stack(binder.joints.inverse_binds),
+        parts=parts,
+        joint_nodes=np.array(binder.joints.nodes, np.int64)[order],
+        inverse_bind=np.stack(binder.joints.inverse_binds)[order],
         morphs=_rest_weights(document, instances, names),
         warnings=tuple(warnings),
     )
+
+
+def _moving_first(parts: list[Part], num_joints: int) -> tuple[tuple[Part, ...], NDArray[np.int64]]:
+    """Parts whose joints are numbered anew, those that move something first, and the old number of each joint.
+
+    What later stages hold for each joint at each point is then bounded by the mesh: skins may list thousands of others.
+    """
+    moves = np.zeros(num_joints, bool)
+    for part in parts:
+        moves[part.joints[part.weights > 0]] = True
+    order = np.r_[np.flatnonzero(moves), np.flatnonzero(~moves)]
+    number = np.empty(num_joints, np.int64)
+    number[order] = np.arange(num_joints)
+    return tuple(dataclasses.replace(part, joints=number[part.joints]) for part in parts), order

@@ -124,6 +124,11 @@ class SkinnedMesh:
         assert len(surface.faces) == self.num_faces
         return dataclasses.replace(self, surface=surface, has_uvs=True)
 
+    @property
+    def num_moving_joints(self) -> int:
+        """Joints up to the last that moves something; the others come after them."""
+        return int(self.joint_indices[self.joint_weights > 0].max(initial=0)) + 1
+
     def dense_weights(self, num_joints: int) -> Floats:
         """Weights as a matrix, (V, J) float64, rows summing to one."""
         dense = np.zeros((self.num_vertices, num_joints))

@@ -223,7 +223,7 @@ def _read_tracks(
         except AssetError as error:
             if faults is None:
                 raise
-            faults.append(f"left out: {error}")
+            faults.append(f"left out: {error}" + "".join(f" ({words})" for words in mended))
             continue
         if path == WEIGHTS:
             moved |= {track.node for track in found}

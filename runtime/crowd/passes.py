@@ -29,8 +29,8 @@ from runtime.gpu.vertex_layout import (
     attribute_offsets,
     bind_buffer,
 )
-from runtime.render.passes import face_runs, set_material, start_lines
-from runtime.render.views import LINE_COLORS, LINES, Frame
+from runtime.render.passes import Faces, face_runs, set_material, start_lines
+from runtime.render.views import LINE_COLORS, LINES, VIEWS, Frame
 
 VERTEX_ANIMATION_UNIT = TEXTURE_UNITS["position_texture"]  # crowds do not read that one
 
@@ -104,9 +104,10 @@ class CrowdPasses:
             Uniforms that the model gives all its programs.
         """
         parts, view = _parts(selection), frame.view
-        for blended in face_runs(frame.gl, view):
-            for part in parts:
-                self._draw_faces(frame, part, constants, blended)
+        for faces in face_runs(frame.gl, view, frame.blend_prepass):
+            how = replace(frame, view_name="depth", view=VIEWS["depth"], uniforms={}) if faces is Faces.DEPTH else frame
+            for part in parts[::-1] if faces is Faces.BLENDED else parts:  # coarse levels are far away
+                self._draw_faces(how, part, constants, faces)
         if view.lines:
             start_lines(frame.gl)
             colors = {"flat_color": LINE_COLORS[view.lines]}
@@ -114,11 +115,10 @@ class CrowdPasses:
             for part in parts:
                 self._draw_lines(over, part, constants, view.lines)
 
-    def _draw_faces(self, frame: Frame, part: _Part, constants: Mapping[str, Any], blended: bool | None) -> None:
-        """Draw the ranges of a level: all of them, or those that are blended, or those that are not."""
+    def _draw_faces(self, frame: Frame, part: _Part, constants: Mapping[str, Any], faces: Faces) -> None:
+        """Draw those ranges of a level that are meant."""
         level = self.levels[part.level]
-        ranges = [one for one in level.ranges if blended is None or (one.material.alpha_mode == "BLEND") == blended]
-        for one in ranges:
+        for one in faces.of(level.ranges):
             array = self._prepare(frame, part, constants, "triangles", one)
             frame.gl.switch(gl_state.CULL_FACE, not (one.material.double_sided or frame.view.two_sided))
             array.render(moderngl.TRIANGLES, vertices=3 * one.count, first=3 * one.first, instances=part.count)
@@ -126,7 +126,7 @@ class CrowdPasses:
     def _draw_lines(self, frame: Frame, part: _Part, constants: Mapping[str, Any], lines: str) -> None:
         if lines == "wireframe":
             frame.gl.glPolygonMode(gl_state.FRONT_AND_BACK, gl_state.LINE)
-            self._draw_faces(frame, part, constants, None)
+            self._draw_faces(frame, part, constants, Faces.ALL)
             frame.gl.glPolygonMode(gl_state.FRONT_AND_BACK, gl_state.FILL)
         elif self._seam_lines(part.level) is not None:
             array = self._prepare(frame, part, constants, "seams", self.levels[part.level].ranges[0])

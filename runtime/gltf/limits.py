@@ -25,6 +25,8 @@ class Limits:
         Of texture coordinates, either sign: beyond it, 32 bits hold no hundredth of a picture.
     time_s : float
         Of a clip's key times: eleven days.
+    reach : float
+        How far a clip may move a part, times the character's size: beyond, 32 bits are no finer than a tenth of it.
     file_bytes : int
         Of a file, asked before it is read.
     unbacked_bytes : int
@@ -43,6 +45,7 @@ class Limits:
     whole: int = 2**48
     uv: float = 2.0**16
     time_s: float = 1e6
+    reach: float = 2.0**20
     file_bytes: int = 2**32
     unbacked_bytes: int = 2**25
     reuse: int = 16

@@ -67,8 +67,8 @@ def find_local_file(folder: Path, name: str, what: str, advice: str) -> Path:
     return path
 
 
-def read_regular(path: Path, most_bytes: int = LIMITS.file_bytes) -> bytes:
-    """The bytes of a file that a person named; its size is asked before.
+def check_regular(path: Path, most_bytes: int = LIMITS.file_bytes) -> None:
+    """Refuse a file that a person named before it is read.
 
     Raises
     ------
@@ -77,14 +77,26 @@ def read_regular(path: Path, most_bytes: int = LIMITS.file_bytes) -> bytes:
     """
     try:
         status = path.stat()
-        if (kind := name_kind(status.st_mode)) is not None:
-            raise AssetError(f"cannot read {path}: it is {kind}: save its content as a file and name that")
-        if status.st_size > most_bytes:
-            raise AssetError(
-                f"{path.name} has {status.st_size} bytes, more than {most_bytes}: raise --limit file_bytes=N"
-            )
-        return path.read_bytes()
     except FileNotFoundError:
         raise AssetError(f"no such file: {path}") from None
     except (OSError, ValueError) as error:
         raise AssetError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from None
+    if (kind := name_kind(status.st_mode)) is not None:
+        raise AssetError(f"cannot read {path}: it is {kind}: save its content as a file and name that")
+    if status.st_size > most_bytes:
+        raise AssetError(f"{path.name} has {status.st_size} bytes, more than {most_bytes}: raise --limit file_bytes=N")
+
+
+def read_regular(path: Path, most_bytes: int = LIMITS.file_bytes) -> bytes:
+    """The bytes of a file that a person named.
+
+    Raises
+    ------
+    AssetError
+        As `check_regular`.
+    """
+    check_regular(path, most_bytes)
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise AssetError(f"cannot read {path}: {error.strerror}") from None

@@ -26,11 +26,12 @@ from runtime.gpu.textures import (
     TEXTURE_UNITS,
     Prepared,
     fill_texture,
+    filter_anisotropically,
     make_texture,
     prepare,
     texture_bytes,
 )
-from runtime.validation import describe
+from runtime.validation import describe, is_number
 
 if TYPE_CHECKING:
     from runtime.animation.clip import Clip
@@ -66,6 +67,9 @@ class Model(NotCopied):
     position_format : "auto", "words", "unorm16" or "float32"
         How positions lie in GPU memory: 4, 8 or 16 bytes a texel. Characters that were built for words lose nothing
         in them; "auto" takes them for these, and 16 bits a channel for others. A `Prepared` has its own.
+    anisotropy : float or None
+        Most samples along the way in which a surface is seen shortened, 1 for none. None: 8, and of base colours alone
+        where OpenGL runs on the processor.
     in_slices : bool
         Upload nothing yet: call `upload_slice` until it says that all is there (see `runtime.gpu.loading`).
 
@@ -81,6 +85,7 @@ class Model(NotCopied):
         asset: Asset | Prepared,
         *,
         position_format: str = "auto",
+        anisotropy: float | None = None,
         in_slices: bool = False,
     ) -> None:
         require_alive(ctx, "model")
@@ -96,6 +101,9 @@ class Model(NotCopied):
             stored_joint_boxes(asset.joint_bounds, asset.manifest.bind_bounds), asset.morph_reaches
         )
         self.has_patches = ctx.version_code >= TESSELLATION_VERSION_CODE
+        if anisotropy is not None and not (is_number(anisotropy) and anisotropy >= 1):
+            raise RenderError(f"anisotropy is a number of at least 1, or None, not {describe(anisotropy)}")
+        self._anisotropy = anisotropy
         self._released = False
         self._owned: list[Any] = []
         self._joint_texture: moderngl.Texture | None = None
@@ -168,6 +176,7 @@ class Model(NotCopied):
         for name, levels in filtered.items():
             self.textures[name] = self._keep(make_texture(self.ctx, levels[0], levels[1:]))
             yield from fill_texture(self.ctx, self.textures[name], levels)
+        filter_anisotropically(self.ctx, self.textures, self._anisotropy)
         for name, texels in exact.items():
             self.textures[name] = self._keep(make_texture(self.ctx, texels, linear=False))
             yield from fill_texture(self.ctx, self.textures[name], (texels,))

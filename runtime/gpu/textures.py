@@ -5,7 +5,7 @@ Preparing needs no context and may run in any thread; uploading goes a slice at 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,6 +37,9 @@ TEXTURE_UNITS = {
     "morph_sums": 11,
 }
 NUM_TEXTURE_UNITS = len(TEXTURE_UNITS)
+MATERIAL_TEXTURES = ("normal_texture", "base_color_texture", "orm_texture", "emissive_texture")
+ANISOTROPY = 8.0  # more shows nowhere in charts that are stretched four times at most
+SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "SwiftShader")
 _DTYPES = {"uint8": "f1", "uint16": "nu2", "float16": "f2", "float32": "f4"}
 _EXACT_DTYPES = {"uint16": "u2", "uint32": "u4"}
 _BYTES = {"uint8": 1, "f1": 1, "nu2": 2, "f2": 2, "f4": 4, "u2": 2, "u4": 4}
@@ -60,6 +63,29 @@ def make_texture(
         texture.filter = (moderngl.LINEAR, moderngl.LINEAR) if linear else (moderngl.NEAREST, moderngl.NEAREST)
     texture.repeat_x = texture.repeat_y = False
     return texture
+
+
+def is_software(ctx: moderngl.Context) -> bool:
+    """Whether the context's renderer runs on the processor."""
+    return any(name in ctx.info["GL_RENDERER"] for name in SOFTWARE_RENDERERS)
+
+
+def filter_anisotropically(ctx: moderngl.Context, textures: Mapping[str, moderngl.Texture], most: float | None) -> None:
+    """Let surfaces that are seen aslant, or squeezed in the atlas, be sampled along the way they are shortened.
+
+    Parameters
+    ----------
+    ctx : moderngl.Context
+    textures : mapping of names to textures
+    most : float or None
+        Most samples; None: `ANISOTROPY`, and of base colours alone where the processor filters, since every texture
+        so filtered makes a picture half as dear again there.
+    """
+    names = ("base_color_texture",) if most is None and is_software(ctx) else MATERIAL_TEXTURES
+    wanted = min(ANISOTROPY if most is None else most, ctx.max_anisotropy)
+    for name in names:
+        if wanted > 1:  # the extension is there
+            textures[name].anisotropy = wanted
 
 
 def fill_texture(ctx: moderngl.Context, texture: moderngl.Texture, levels: tuple[NDArray[Any], ...]) -> Iterator[None]:

@@ -182,9 +182,10 @@ def make_draw_batches(
     records = np.empty(len(rows), ACTOR_INSTANCE)
     records["rows"], records["tint"] = rows, batch.tints
     records["pose"], records["level"] = np.arange(len(rows)), levels
-    whole = len(records)
-    batches = [
-        DrawBatch(model, *key, records if len(indices) == whole else records[indices])
-        for key, indices in sorted(members.items())
-    ]
+    if any(part.material.alpha_mode == "BLEND" for lod in model.lods for part in lod.ranges):
+        far = np.square(rows[:, :, 3]).sum(axis=1)
+        members = {key: sorted(indices, key=lambda index: -far[index]) for key, indices in members.items()}
+    elif len(members) == 1 and all(seen):
+        return [DrawBatch(model, *next(iter(members)), records)], drawn
+    batches = [DrawBatch(model, *key, records[indices]) for key, indices in sorted(members.items())]
     return batches, drawn

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import Enum, auto
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import moderngl
@@ -20,16 +22,16 @@ from runtime.gpu.lod_buffers import GpuLod, MaterialRange
 from runtime.gpu.model import Model
 from runtime.gpu.patches import PATCH_VERTICES
 from runtime.gpu.programs import build_program, set_uniforms
-from runtime.gpu.textures import TEXTURE_UNITS
+from runtime.gpu.textures import TEXTURE_UNITS, is_software
 from runtime.render.draw_batches import DrawBatch
-from runtime.render.views import LINE_COLORS, LINES, View
+from runtime.render.views import LINE_COLORS, LINES, VIEWS, View
 
 if TYPE_CHECKING:
     from runtime.asset.asset import MaterialData
 
 # Mesa's software rasteriser numbers the vertices that one call tessellates with 16 bits, and drops what is beyond.
-SOFTWARE_RENDERERS = ("llvmpipe", "softpipe")
 SOFTWARE_VERTICES_PER_CALL = 60_000
+PREPASS_ALPHA = 0.5  # texels of blended materials with at least so much hide what is behind them, if that is asked
 PATCH_STAGES = ("patch.vert", "patch.tesc", "patch.tese")
 
 
@@ -46,6 +48,8 @@ class DrawSettings:
         Divides every tessellated edge, 0 for as its length on the screen asks.
     texels_per_segment : float
         Shortest piece of an edge then, texels of the position texture.
+    blend_prepass : bool
+        Whether blended faces write the depth of what is nearly opaque in them first.
     """
 
     name: str
@@ -53,6 +57,30 @@ class DrawSettings:
     uniforms: Mapping[str, Any]
     factor: float = 0.0
     texels_per_segment: float = 1.0
+    blend_prepass: bool = False
+
+
+class Faces(Enum):
+    """Which faces of a level a run draws."""
+
+    ALL = auto()
+    SOLID = auto()  # not blended
+    DEPTH = auto()  # the depth of what is nearly opaque in blended ones
+    BLENDED = auto()
+
+    def of(self, ranges: Sequence[MaterialRange]) -> list[MaterialRange]:
+        """Those of a level's ranges that are drawn."""
+        if self is Faces.ALL:
+            return list(ranges)
+        chosen = [part for part in ranges if (part.material.alpha_mode == "BLEND") == (self is not Faces.SOLID)]
+        return [_alpha_tested(part) for part in chosen] if self is Faces.DEPTH else chosen
+
+
+@lru_cache(maxsize=64)
+def _alpha_tested(part: MaterialRange) -> MaterialRange:
+    """A blended range drawn with an alpha test instead."""
+    material = replace(part.material, alpha_mode="MASK", alpha_cutoff=PREPASS_ALPHA)
+    return replace(part, material=material, defines=tuple(one for one in part.defines if one != "NO_ALPHA_TEST"))
 
 
 class Passes:
@@ -70,7 +98,7 @@ class Passes:
         self._defines = defines
         self._programs: dict[tuple[Any, ...], moderngl.Program] = {}
         self._models: weakref.WeakSet[Model] = weakref.WeakSet()
-        self._is_software = any(name in ctx.info["GL_RENDERER"] for name in SOFTWARE_RENDERERS)
+        self._is_software = is_software(ctx)
 
     # Programs
 
@@ -129,19 +157,22 @@ class Passes:
         for batch in batches:
             self._models.add(batch.model)
             batch.model.levels.instance_buffer(batch.key, batch.instances)
-        for blended in face_runs(gl, settings.view):
-            for batch in batches:
-                self._draw_faces(gl, batch, settings, blended)
+        for faces in face_runs(gl, settings.view, settings.blend_prepass):
+            how = (
+                replace(settings, name="depth", view=VIEWS["depth"], uniforms={}) if faces is Faces.DEPTH else settings
+            )
+            for batch in _far_first(batches) if faces is Faces.BLENDED else batches:
+                self._draw_faces(gl, batch, how, faces)
         if settings.view.lines:
             start_lines(gl)
             for batch in batches:
                 self._draw_lines(gl, batch, settings)
 
-    def _draw_faces(self, gl: Functions, batch: DrawBatch, settings: DrawSettings, blended: bool | None) -> None:
-        """Draw the ranges of a level: all of them, or those that are blended, or those that are not."""
+    def _draw_faces(self, gl: Functions, batch: DrawBatch, settings: DrawSettings, faces: Faces) -> None:
+        """Draw those ranges of a level that are meant."""
         model, view = batch.model, settings.view
         lod = model.lods[batch.level]
-        ranges = [part for part in lod.ranges if blended is None or (part.material.alpha_mode == "BLEND") == blended]
+        ranges = faces.of(lod.ranges)
         if not ranges:
             return
         model.bind_textures()
@@ -157,9 +188,9 @@ class Passes:
             program = self._prepare(settings, batch.tessellated, model, lod, part)
             array = model.levels.vertex_array((id(self), program.glo), batch.key, program, batch.level, kind)
             for first in range(0, part.count, at_most or part.count):
-                faces = min(at_most or part.count, part.count - first)
+                count = min(at_most or part.count, part.count - first)
                 start = (part.first + first) * per_face
-                array.render(mode, vertices=faces * per_face, first=start, instances=len(batch.instances))
+                array.render(mode, vertices=count * per_face, first=start, instances=len(batch.instances))
 
     def _patches_per_call(self, batch: DrawBatch, settings: DrawSettings) -> int:
         """How many patches a software rasteriser takes in one call, whatever their factors turn out to be."""
@@ -170,12 +201,10 @@ class Passes:
 
     def _draw_lines(self, gl: Functions, batch: DrawBatch, settings: DrawSettings) -> None:
         lines = settings.view.lines
-        over = DrawSettings(
-            "lines", LINES, {"flat_color": LINE_COLORS[lines]}, settings.factor, settings.texels_per_segment
-        )
+        over = replace(settings, name="lines", view=LINES, uniforms={"flat_color": LINE_COLORS[lines]})
         if lines == "wireframe":
             gl.glPolygonMode(gl_state.FRONT_AND_BACK, gl_state.LINE)
-            self._draw_faces(gl, batch, over, None)
+            self._draw_faces(gl, batch, over, Faces.ALL)
             gl.glPolygonMode(gl_state.FRONT_AND_BACK, gl_state.FILL)
             return
         levels = batch.model.levels
@@ -215,14 +244,30 @@ def _set_state(gl: Functions, view: View) -> None:
         gl.glColorMask(0, 0, 0, 0)
 
 
-def face_runs(gl: Functions, view: View) -> Iterator[bool | None]:
-    """Which faces to draw, with the state for them set: all (None), or first the unblended, then the blended ones."""
+def face_runs(gl: Functions, view: View, blend_prepass: bool) -> Iterator[Faces]:
+    """Which faces to draw, one after another, with the state for them set."""
     gl.glDepthFunc(gl_state.LESS)
     gl.switch(gl_state.POLYGON_OFFSET_FILL, bool(view.lines))
-    for blended in (False, True) if view.blends else (False,):
-        gl.switch(gl_state.BLEND, blended)
-        gl.glDepthMask(not blended)
-        yield blended if view.blends else None
+    gl.switch(gl_state.BLEND, False)
+    gl.glDepthMask(1)
+    if not view.blends:
+        yield Faces.ALL
+        return
+    yield Faces.SOLID
+    if blend_prepass:
+        mask = gl.integers(gl_state.COLOR_WRITEMASK, 4)
+        gl.glColorMask(0, 0, 0, 0)
+        yield Faces.DEPTH
+        gl.glColorMask(*mask)
+        gl.glDepthFunc(gl_state.LEQUAL)
+    gl.switch(gl_state.BLEND, True)
+    gl.glDepthMask(0)
+    yield Faces.BLENDED
+
+
+def _far_first(batches: Sequence[DrawBatch]) -> list[DrawBatch]:
+    """Batches by the distance of their actors from the eye, the farthest first."""
+    return sorted(batches, key=lambda batch: -float(np.square(batch.instances["rows"][:, :, 3]).sum(axis=1).mean()))
 
 
 def start_lines(gl: Functions) -> None:

@@ -223,7 +223,10 @@ class Renderer(NotCopied):
         self._check_arguments(camera, view, lod, uniforms)
         factor = self._checked_tessellation(tessellation)
         crowds, batches = self._sorted(actors, lod)
-        settings = DrawSettings(view, self._views[view], dict(uniforms or {}), factor, self.quality.texels_per_segment)
+        quality = self.quality
+        settings = DrawSettings(
+            view, self._views[view], dict(uniforms or {}), factor, quality.texels_per_segment, quality.blend_prepass
+        )
         level = None if isinstance(lod, str) else int(lod)
         with self._state as gl:
             _, _, width, height = gl.integers(gl_state.VIEWPORT, 4)
@@ -247,6 +250,7 @@ class Renderer(NotCopied):
                         view=settings.view,
                         uniforms=settings.uniforms,
                         defines=self._defines,
+                        blend_prepass=quality.blend_prepass,
                     )
                 )
 

@@ -71,6 +71,8 @@ class Frame:
         Of a caller's own fragment shader.
     defines : mapping
         Preprocessor definitions of all programs.
+    blend_prepass : bool
+        Whether blended faces write the depth of what is nearly opaque in them first.
     """
 
     gl: Functions
@@ -82,6 +84,7 @@ class Frame:
     view: View
     uniforms: Mapping[str, Any]
     defines: Mapping[str, str | int]
+    blend_prepass: bool
 
 
 class Drawable(ABC):

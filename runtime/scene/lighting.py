@@ -170,7 +170,7 @@ class Environment:
         directions, _ = _directions(*PANORAMA_SIZE)
         height = directions[..., 1:2]
         ceiling, wall, floor = (
-            np.array(color) for color in ((0.95, 0.98, 1.05), (0.42, 0.43, 0.46), (0.20, 0.175, 0.155))
+            np.array(color) for color in ((0.53, 0.54, 0.58), (0.23, 0.235, 0.25), (0.11, 0.097, 0.086))
         )
         image = np.where(
             height > 0,
@@ -178,9 +178,9 @@ class Environment:
             wall + (floor - wall) * np.clip(-2.2 * height, 0, 1),
         )
         for towards, color, narrow in (
-            ((-0.75, 0.45, 0.5), (1.5, 1.75, 2.1), 14.0),
-            ((0.9, 0.25, -0.55), (2.2, 1.85, 1.5), 26.0),
-            ((0.1, 0.95, 0.3), (1.4, 1.4, 1.4), 8.0),
+            ((-0.75, 0.45, 0.5), (0.83, 0.97, 1.15), 14.0),
+            ((0.9, 0.25, -0.55), (1.2, 1.02, 0.83), 26.0),
+            ((0.1, 0.95, 0.3), (0.77, 0.77, 0.77), 8.0),
         ):
             unit = np.array(towards) / np.linalg.norm(towards)
             image = image + np.array(color) * np.exp(narrow * ((directions @ unit)[..., None] - 1.0))
@@ -190,6 +190,9 @@ class Environment:
 @dataclass(frozen=True)
 class Lighting:
     """All light in a picture.
+
+    By default a white sheet that faces the sun is just white: what is white shows its form, and what glows is not paler
+    than its file says.
 
     Attributes
     ----------
@@ -208,9 +211,9 @@ class Lighting:
     """
 
     sun_direction: tuple[float, float, float] = (0.55, 0.75, 0.65)
-    sun_color: tuple[float, float, float] = (1.25, 1.18, 1.05)
+    sun_color: tuple[float, float, float] = (0.69, 0.65, 0.58)
     environment: Environment = field(default_factory=Environment.studio)
-    exposure: float = 0.85
+    exposure: float = 1.0
 
     def __post_init__(self) -> None:
         for name in ("sun_direction", "sun_color"):

@@ -41,6 +41,9 @@ class Quality:
     prefer : "levels" or "tessellation"
         Whether chosen levels are drawn as they are, or divided where OpenGL 4.1 is there: rounder, and dearer. Their
         largest error is then taken as all that dividing may add to it.
+    blend_prepass : bool
+        Whether blended materials first write the depth of what is nearly opaque in them: hair, leaves and feathers hide
+        what lies behind them, whatever the order of their faces. Not for panes of glass behind one another.
 
     Raises
     ------
@@ -52,6 +55,7 @@ class Quality:
     segment_px: float = 6.0
     texels_per_segment: float = 1.0
     prefer: str = "levels"
+    blend_prepass: bool = False
 
     def __post_init__(self) -> None:
         for name in ("threshold_px", "segment_px", "texels_per_segment"):

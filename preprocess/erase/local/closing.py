@@ -44,7 +44,7 @@ MAX_SWEEPS = 20  # of projections: each visits those samples alone that are stil
 # Stored: at most half a step at any point of any seam, sought at the samples with a little room.
 MAX_STORED, SOUGHT = 0.5, 0.48
 TIGHTER, LOWER, TIGHTER_RINGS = 0.4, 0.9, 3
-MAX_ROUNDS = 6
+MAX_ROUNDS = 5
 
 
 @dataclass(frozen=True)
@@ -100,10 +100,12 @@ def close_seams(
     given = np.clip(UNIT * texels.reshape(-1, channels)[band.texels].astype(np.float64), low, high)
     before = band.jumps(given)
     limits = np.full(len(before), jump_limit)
-    values = _solve(band, given, before, limits, low, high)
+    values, jumps = _relax(band, given, before, limits, low, high)
+    if _change(band, given, values) > most_change:  # it can only grow
+        return None
+    _limit(band, given, values, jumps, limits, low, high)
     after = band.jumps(values)
-    moved = (values - given)[band.region.inside.ravel()[band.texels]]
-    change = float(np.sqrt((moved**2).sum() / max(band.region.num_inside * channels, 1))) / UNIT
+    change = _change(band, given, values)
     if change > most_change:
         return None
     if levels == UNIT:
@@ -114,11 +116,17 @@ def close_seams(
     return Closed(_put_back(texels, band, kept, levels), seams[0], seams[1], seams[2], change)
 
 
-def _solve(band: Band, given: Floats, jumps: Floats, limits: Floats, low: float, high: float) -> Floats:
-    """Values whose jumps are within limits, as near to those given as they may be."""
+def _change(band: Band, given: Floats, values: Floats) -> float:
+    """Root mean square change of the texels inside charts, all channels, as values in [0, 1]."""
+    moved = (values - given)[band.region.inside.ravel()[band.texels]]
+    return float(np.sqrt((moved**2).sum() / max(band.region.num_inside * given.shape[1], 1))) / UNIT
+
+
+def _relax(band: Band, given: Floats, jumps: Floats, limits: Floats, low: float, high: float) -> tuple[Floats, Floats]:
+    """Values as near to those given as they may be, with small jumps; and these jumps."""
     values, jumps = given.copy(), jumps.copy()
     if not len(band.seam_texels):
-        return values
+        return values, jumps
     pull = np.zeros_like(given)
     for k in range(4):
         weight = np.where(band.keeps_difference[:, k], band.stiffness[:, k], 0.0)[:, None]
@@ -131,8 +139,7 @@ def _solve(band: Band, given: Floats, jumps: Floats, limits: Floats, low: float,
             band.neighbours, band.stiffness, band.starts, band.samples, band.shares, jumps,
             np.float32(penalty) * band.sample_lengths, SOFT * float(limits.max()), beyond, low, high,
         )  # fmt: skip
-    _limit(band, given, values, jumps, limits, low, high)
-    return values
+    return values, jumps
 
 
 def _limit(band: Band, given: Floats, values: Floats, jumps: Floats, limits: Floats, low: float, high: float) -> None:

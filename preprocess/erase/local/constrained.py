@@ -22,7 +22,8 @@ RINGS = 12  # samples sharing a texel, ring by ring, that are solved with those 
 PENALTY = 3e5  # of a jump per texel of seam, in units of the gradient's
 RANGE_PENALTY = 3.0
 RELAXATION = 1.7
-REPEATS, MOST_REPEATS = 12, 60  # after so many it ends as soon as all is within limits
+REPEATS, MOST_REPEATS = 8, 32  # after the first it ends as soon as all is within limits
+FEW_TEXELS, REPEATS_OF_FEW = 8000, 56  # coarse mips, where limits are hard to keep and repetitions cost little
 AIM = 0.8  # of the limits: the method comes close to what it is asked for, not quite there
 
 
@@ -64,7 +65,7 @@ def solve_near(
     allowed, dual = np.zeros_like(jump), np.zeros_like(jump)  # closing all is always possible: from there outwards
     inside, range_dual = np.clip(start, low, high), np.zeros_like(start)
     change = np.zeros_like(start)
-    for repeat in range(MOST_REPEATS):
+    for repeat in range(REPEATS_OF_FEW if len(free) <= FEW_TEXELS else MOST_REPEATS):
         pull = columns @ (penalty[:, None] * (jump - allowed + dual)) + range_penalty * (start - inside + range_dual)
         change = factor.solve(force - pull)
         reached = jump + rows @ change
