@@ -29,7 +29,7 @@ def shuffled_sheet(num_charts: int) -> Any:
     side = max(round(np.sqrt(num_charts)), 2)
     cells = np.random.default_rng(0).permutation(side * side)
     corner = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
-    positions, faces, uvs, face_uvs = [], [], [], []
+    faces, uvs, face_uvs = [], [], []
     index = np.arange((side + 1) ** 2).reshape(side + 1, side + 1)
     x, y = np.meshgrid(np.arange(side + 1.0), np.arange(side + 1.0))
     positions = np.stack([x, y, np.sin(x) + np.cos(y)], axis=-1).reshape(-1, 3)

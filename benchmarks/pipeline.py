@@ -60,7 +60,7 @@ def _measured(command: list[str]) -> dict[str, Any]:
     said = process.stderr.read().decode(errors="replace").strip()
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
-    row = {"cpu_s": usage.ru_utime + usage.ru_stime, "peak_mb": _megabytes(usage)}
+    row: dict[str, Any] = {"cpu_s": usage.ru_utime + usage.ru_stime, "peak_mb": _megabytes(usage)}
     if process.returncode:
         row["failed"] = said.splitlines()[-1] if said else f"exit status {process.returncode}"
     return row
