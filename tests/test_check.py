@@ -19,6 +19,7 @@ from preprocess.mesh.surface import TexturedSurface
 from preprocess.pipeline import build
 from preprocess.progress import Progress
 from preprocess.settings import Settings
+from preprocess.verify import goals
 from preprocess.verify.claims import check_claims, check_files
 from runtime.asset.asset import load
 
@@ -130,6 +131,24 @@ def test_json_says_the_same(folder: Path, capsys: pytest.CaptureFixture[str]) ->
     assert main(["check", str(folder), "--json"]) == 2
     found = json.loads(capsys.readouterr().out)
     assert found["verdict"] == "not sound" and sum(not one["holds"] for one in found["findings"]) == 1
+
+
+def test_what_the_build_warned_of_is_noted_and_no_more(
+    folder: Path, source: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A goal that this build misses: it says so in its measurements, and check agrees; worse than that is wrong."""
+    rms = json.loads((folder / "manifest.json").read_text())["measurements"]["vertices"]["rms"]
+    monkeypatch.setattr(goals, "VERTEX_RMS_REL", rms / 2)
+    assert main(["check", str(folder), "--source", str(source)]) == 0
+    assert "noted vertices of level 0" in capsys.readouterr().out
+    monkeypatch.setattr(goals, "VERTEX_RMS_REL", rms / 4)
+    assert main(["check", str(folder), "--source", str(source)]) == 2
+    monkeypatch.setattr(goals, "VERTEX_RMS_REL", rms / 2)
+    edit(folder, lambda m: m["measurements"]["vertices"].update(rms=rms / 2))
+    assert main(["check", str(folder), "--source", str(source)]) == 2
+    edit(folder, lambda m: m.update(measurements=[]))
+    assert main(["check", str(folder), "--source", str(source)]) == 2
+    assert "vertices of level 0" in capsys.readouterr().err
 
 
 def test_a_folder_that_claims_nothing_is_not_sound(tmp_path: Path) -> None:

@@ -21,8 +21,9 @@ COLOR_RMS, COLOR_MEAN = 8 / 255, 4 / 255
 FACTOR_RMS, FACTOR_MEAN = 0.05, 0.02
 LEAST_MATCHED = 0.5
 # Normals and colours give way at seams and where the source is finer than the atlas: worth a warning beyond the goal,
-# and another build beyond so many times the goal.
+# and another build beyond so many times the goal. A folder that is so far off is not sound, though its build said so.
 GROSS = 3.0
+SAME_REL, SAME_ABS = 1.05, 1e-6  # two measurements of one folder on two machines
 LEAST_POINTS = 8  # of a material: fewer say nothing about what it has in common
 
 
@@ -39,13 +40,16 @@ class Finding:
         The figure, its goal, and where it is worst: one line.
     holds : bool
     is_gross : bool
-        Whether it is so far beyond that another way is worth a build.
+        Whether it is beyond by so much that no warning makes up for it.
+    is_told : bool
+        Whether the build measured the same and warned of it.
     """
 
     kind: str
     text: str
     holds: bool
     is_gross: bool = False
+    is_told: bool = False
 
 
 def _percent(value: float) -> str:
@@ -60,7 +64,7 @@ def _of_shape(found: Measurement) -> Iterator[Finding]:
         f"{_percent(spread.largest)} at most (goals {_percent(VERTEX_RMS_REL)}, {_percent(VERTEX_MAX_REL)}), "
         f"worst: {spread.worst}",
         spread.rms <= VERTEX_RMS_REL and spread.largest <= VERTEX_MAX_REL,
-        spread.rms > VERTEX_RMS_REL or spread.largest > VERTEX_MAX_REL,
+        spread.rms > GROSS * VERTEX_RMS_REL or spread.largest > GROSS * VERTEX_MAX_REL,
     )
     spread = found.middles
     yield Finding(
@@ -141,6 +145,25 @@ def _of_look(found: Measurement) -> Iterator[Finding]:
 def judge(found: Measurement) -> list[Finding]:
     """Every figure beside its goal, in the order in which they matter."""
     return [*_of_shape(found), *_of_look(found)]
+
+
+def is_as_built(kind: str, found: Measurement, recorded: Any) -> bool:
+    """Whether a kind of figure is no worse than what the build measured, as manifests have it: told, not hidden."""
+    ours = as_json(found).get(kind)
+    theirs = recorded.get(kind) if isinstance(recorded, dict) else None
+    return isinstance(ours, dict) and isinstance(theirs, dict) and _no_worse(ours, theirs)
+
+
+def _no_worse(ours: dict[str, Any], theirs: dict[str, Any]) -> bool:
+    """A spread, or spreads by material."""
+    if "rms" not in ours:
+        return ours.keys() == theirs.keys() and all(
+            isinstance(theirs[name], dict) and _no_worse(spread, theirs[name]) for name, spread in ours.items()
+        )
+    figures = [theirs.get(key) for key in ("rms", "largest")]
+    if not all(isinstance(figure, int | float) and not isinstance(figure, bool) for figure in figures):
+        return False
+    return all(ours[key] <= SAME_REL * theirs[key] + SAME_ABS for key in ("rms", "largest"))
 
 
 def as_json(found: Measurement) -> dict[str, Any]:

@@ -76,7 +76,7 @@ def next_retry(
     used : sequence of str
         Ways that were tried, in words.
     """
-    wrong = {finding.kind for finding in findings if finding.is_gross}
+    wrong = {one.kind for one in findings if one.is_gross or (one.kind in SHAPE and not one.holds)}
     if len(used) >= MOST_RETRIES:
         return None
     for retry in RETRIES:
