@@ -25,7 +25,8 @@ from preprocess.export.folder import LodRow, write_folder, write_manifest
 from preprocess.export.report import write_report
 from preprocess.files.output_folder import atomic_folder
 from preprocess.fit.level_geometry import fit_levels
-from preprocess.fit.textures import StoredTexture, TextureStage
+from preprocess.fit.stored_texture import StoredTexture
+from preprocess.fit.textures import TextureStage
 from preprocess.fit.uv_quantisation import snap_levels, snap_mesh
 from preprocess.load import Character, load_character
 from preprocess.load.pose_sampling import sample_poses

@@ -36,7 +36,8 @@ class Samples:
 
     def points(self, positions: Floats, faces: Ints) -> Floats:
         """Where they are for some positions of the vertices, (N, 3)."""
-        return np.einsum("nk,nki->ni", self.weights, positions[faces[self.faces]])
+        result: Floats = np.einsum("nk,nki->ni", self.weights, positions[faces[self.faces]])
+        return result
 
 
 def sample_mesh(positions: Floats, faces: Ints, num_samples: int = NUM_SAMPLES) -> Samples:

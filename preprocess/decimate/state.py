@@ -71,7 +71,8 @@ def _pose_quadrics(posed: Floats, faces: NDArray[np.int64]) -> Floats:
 def _posed(matrices: Floats, xyz: Floats, centre: Floats, scale: float) -> Floats:
     """Normalised positions in each pose, (P, V, 3)."""
     metres = np.einsum("pvij,vj->pvi", matrices[..., :3], xyz * scale + centre) + matrices[..., 3]
-    return (metres - centre) / scale
+    result: Floats = (metres - centre) / scale
+    return result
 
 
 def _pose(
