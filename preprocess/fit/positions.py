@@ -5,7 +5,8 @@ seams, and it need not be closed exactly. Points along both sides of every seam 
 weight, so that subdivided surfaces run on smoothly there. One fit is a direct solution with as many unknowns as
 points, hundredths of a second, so sizes are simply tried, each judged as it will be stored: within the surface's box,
 at the vertices, between them and along the seams. A few vertices may miss, where more of them meet in a cell than it
-has texels: those are given spare texels (spare_texels.py)."""
+has texels: those are given spare texels (spare_texels.py).
+"""
 
 from __future__ import annotations
 
