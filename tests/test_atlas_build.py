@@ -15,6 +15,7 @@ from preprocess.atlas.detail import COARSEST, Detail, find_levels
 from preprocess.atlas.distortion import turned_areas
 from preprocess.atlas.flatten import local_triangles
 from preprocess.atlas.measure import measure_coverage, measure_stretch, straight_share
+from preprocess.atlas.part_overlaps import part_overlaps
 from preprocess.atlas.snap import bear_snapping
 from preprocess.errors import InputError
 from preprocess.mesh.predicates import face_orientation
@@ -182,6 +183,22 @@ def test_measures_of_a_square_by_hand():
     assert measure_stretch(wide) == pytest.approx((np.sqrt(1.25), np.sqrt(2)))
     squashed = dataclasses.replace(flat, uvs=uvs * [1, 0])
     assert measure_stretch(squashed) == (np.inf, np.inf)
+
+
+def test_faces_that_overlap_by_a_texel_are_parted_and_the_rest_stays():
+    """Two patches whose borders cross by a texel of 1024 at one vertex."""
+    mesh = two_patches((0.5, 0.0))
+    uvs = mesh.surface.uvs.copy()
+    near = np.argmin(np.abs(uvs - (0.47, 0.245)).sum(axis=1))  # the middle of the first one's right border
+    uvs[near, 0] = 0.52 + 1 / 1024
+    crossed = with_uvs(mesh, uvs)
+    assert 1 <= find_overlap(uvs, mesh.surface.face_uvs).num_pairs <= 4
+    parted = part_overlaps(uvs, mesh.surface.face_uvs)
+    assert parted is not None and find_overlap(parted, mesh.surface.face_uvs).one_to_one
+    assert (parted != uvs).any(axis=1).sum() <= 8 and np.abs(parted - uvs).max() < 2 / 1024
+    assert part_overlaps(mesh.surface.uvs, mesh.surface.face_uvs).tobytes() == mesh.surface.uvs.tobytes()
+    assert part_overlaps(two_patches((0.0, 0.0)).surface.uvs, mesh.surface.face_uvs) is None
+    assert build_atlas(crossed, straighten_rel=None).overlap == 0
 
 
 def test_stored_uvs_do_not_overlap_where_rounding_would_turn_a_face():

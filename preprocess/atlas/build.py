@@ -31,6 +31,7 @@ from preprocess.atlas.measure import (
     measure_texels,
     straight_share,
 )
+from preprocess.atlas.part_overlaps import part_overlaps
 from preprocess.atlas.placement import FILL, place_charts
 from preprocess.atlas.snap import bear_snapping
 from preprocess.atlas.source_charts import (
@@ -174,6 +175,8 @@ def build_atlas(
         raise InputError("the mesh has no faces: there is no atlas to build")
     detail = no_detail(mesh.num_faces) if detail is None else detail
     flat = local_triangles(mesh.surface.positions, mesh.surface.faces)
+    parted = _part_overlaps(mesh) if mode == "auto" else None
+    mesh = parted or mesh
     if mode in ("keep", "repack"):
         reason = _why_not_usable(mesh) or (_why_not_inside(mesh) if mode == "keep" else _why_not_flat(mesh))
         if reason:
@@ -188,13 +191,24 @@ def build_atlas(
         why_not = _why_not_keep(mesh, charts) if mode == "auto" else ""
         atlas = None if why_not else _keep(mesh, straighten_rel, floor, detail)
         if atlas is not None and (mode == "keep" or not atlas.overlap):
-            return atlas
+            return dataclasses.replace(atlas, resampled=atlas.resampled or parted is not None)
         reasons.append("keep: " + (why_not or "its uvs overlap once they are rounded to be stored"))
         log.info("atlas: not kept as it is: %s", reasons[-1])
     if mode == "auto":
         charts = np.where(_on_plain_parts(mesh, flat, detail), -1, charts)
     made = _pack_anew(mesh, charts, flat, straighten_rel, detail)
     return dataclasses.replace(made, report={"not_chosen": reasons})
+
+
+def _part_overlaps(mesh: SkinnedMesh) -> SkinnedMesh | None:
+    """The mesh with uvs moved where a few faces overlap; None where there is nothing, or too much, to move."""
+    if _why_not_usable(mesh) or _why_not_inside(mesh):
+        return None
+    surface = mesh.surface
+    uvs = part_overlaps(surface.uvs, surface.face_uvs)
+    if uvs is None or (uvs == surface.uvs).all() or uvs.min() < 0 or uvs.max() > 1:
+        return None
+    return mesh.with_surface(dataclasses.replace(surface, uvs=uvs))
 
 
 def _why_not_usable(mesh: SkinnedMesh) -> str:
