@@ -26,6 +26,7 @@ from preprocess.numerics.compile_progress import compile_quickly
 # Command -> (module with add_arguments(parser) and run(arguments), one line of help)
 COMMANDS = {
     "build": ("preprocess.commands.build", "build a character: .gltf, .glb or .vrm"),
+    "info": ("preprocess.commands.info", "what a character file holds, and what will become of it"),
     "erase": ("preprocess.commands.erase", "erase the seams of images on a mesh"),
     "straighten": ("preprocess.commands.straighten", "straighten the seams of a mesh and warp its images"),
     "decimate": ("preprocess.commands.decimate", "simplify a mesh and keep its seams exact"),

@@ -472,3 +472,21 @@ def test_flat_faces_stay_flat_shaded(asset_path: Any) -> None:
         flat /= np.linalg.norm(flat, axis=1, keepdims=True)
         turned /= np.linalg.norm(turned, axis=2, keepdims=True)
         assert np.einsum("fkc,fc->fk", turned, flat).min() > 0.999
+
+
+def test_info_tells_what_a_file_holds(source: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import json
+
+    from preprocess.cli import main
+
+    assert main(["info", str(source)]) == 0
+    text = capsys.readouterr().out
+    for line in ("  body", "  neck", "  nod: 1.00 s (joints and morphs)", "  face: 1.00 s (morphs)"):
+        assert line in text.splitlines()
+    assert main(["info", str(source), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [morph["name"] for morph in found["morphs"]] == list(NAMES)
+    assert found["morphs"][0]["largest_shift_m"] == pytest.approx(0.187, abs=2e-3)
+    assert [part["name"] for part in found["parts"]] == ["body", "teeth"]
+    assert main(["info", str(source.parent / "missing.glb")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
