@@ -88,3 +88,15 @@ def test_only_texels_knows_the_half_texel() -> None:
         if path.name not in ("texels.py", "resample.py") and "- 0.5) /" in path.read_text()
     ]
     assert not found
+
+
+@pytest.mark.parametrize("package", ["runtime", "preprocess"])
+def test_the_architecture_page_shows_the_order_of_the_rooms(package: str) -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    (row,) = (line for line in page.splitlines() if line.startswith(f"{package}   "))
+    shown = row.removeprefix(package).partition(" on ")[0].replace(" ", "").split(">")
+    rooms = [room for room in ROOMS[package] if room in shown]
+    assert shown == rooms and len(shown) >= 7
+    for room in (ROOT / package).iterdir():
+        if (room / "__init__.py").is_file():
+            assert f"| `{room.name}/` |" in page, room
