@@ -107,10 +107,8 @@ def largest_stretch(linear: Floats) -> Floats:
     return stretch
 
 
-def _measure(
-    parts: Floats, camera: CameraMatrices, size_px: tuple[int, int]
-) -> tuple[NDArray[np.bool_], Floats, NDArray[np.bool_]]:
-    """Seen (A,), pixels per metre (A,), and where depth varies so much that single parts tell more (A,); see `measure`.
+def _measure(parts: Floats, camera: CameraMatrices, size_px: tuple[int, int]) -> tuple[NDArray[np.bool_], Floats]:
+    """Seen (A,), and pixels per metre (A,); see `measure`.
 
     A linear function's largest value over a box is that of the middle, and as much more as it gains along each half
     edge, this way or that. Ratios of such functions are largest and smallest over the corners of a convex hull.
@@ -123,14 +121,14 @@ def _measure(
     inside = np.maximum.reduce(middle[:6] + reach[:6], axis=1)
     seen: NDArray[np.bool_] = np.minimum.reduce(inside, axis=0) >= 0.0
     low, high = middle[6:] - reach[6:], middle[6:] + reach[6:]  # of clip space's w, x and y
-    nearest, farthest = np.minimum.reduce(low[0], axis=0), np.maximum.reduce(high[0], axis=0)
+    nearest = np.minimum.reduce(low[0], axis=0)
     in_front = nearest > 0.0
     near, far = np.where(in_front, low[0], 1.0), np.where(in_front, high[0], 1.0)
     left, below = (np.minimum.reduce(low[k] / np.where(low[k] < 0, near, far), axis=0).clip(-1, 1) for k in (1, 2))
     right, above = (np.maximum.reduce(high[k] / np.where(high[k] > 0, near, far), axis=0).clip(-1, 1) for k in (1, 2))
     magnified = camera.magnification(left, right, below, above, size_px)
     size = np.where(in_front, magnified / np.where(in_front, nearest, 1.0), np.inf)
-    return seen, size, ~(farthest <= NEAR_DEPTHS * nearest)
+    return seen, size
 
 
 def measure(
@@ -163,10 +161,17 @@ def measure(
     -------
     (A,) bool, and (A,) float, pixels per metre, infinite where the camera's plane cuts a body
     """
-    seen, size, is_near = _measure(boxes, camera, size_px)
-    near = np.flatnonzero(seen & is_near)
-    if len(near):
-        seen[near], size[near], _ = _measure(parts_of(near), camera, size_px)
+    w = camera.functions[6].astype(boxes.dtype)
+    along = np.einsum("r,rka->ka", w[:3], boxes[:, :, 0])
+    reach, middle = np.add.reduce(np.abs(along[:3]), axis=0), along[3] + w[3]
+    near = np.flatnonzero(~(middle + reach <= NEAR_DEPTHS * (middle - reach)))
+    if len(near) == boxes.shape[3]:
+        seen, size = _measure(parts_of(near), camera, size_px)
+    else:
+        seen, size = _measure(boxes, camera, size_px)
+        near = near[seen[near]]
+        if len(near):
+            seen[near], size[near] = _measure(parts_of(near), camera, size_px)
     return seen, size * stretch
 
 
