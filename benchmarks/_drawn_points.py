@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from benchmarks._source_normals import unit
 from benchmarks.accuracy import CANDIDATES, fetched_vertices
 from preprocess.arrays import Floats
+from preprocess.mesh.face_geometry import doubled_area_vectors
 from preprocess.mesh.surface import SkinnedMesh
 from runtime.asset.asset import Asset
 
@@ -76,7 +77,7 @@ def single_faces(mesh: SkinnedMesh) -> Ints:
 
 def _normals(triangles: Floats) -> Floats:
     """Normals of triangles (T, 3, 3), not of unit length."""
-    normals: Floats = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals = doubled_area_vectors(triangles)
     return normals
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from demos.headless import Canvas, create_context
+from preprocess.mesh.face_geometry import doubled_area_vectors
 from preprocess.mesh.surface import TexturedSurface
 from runtime.gpu.programs import build_program, set_uniforms
 from runtime.scene.camera import Camera
@@ -23,7 +24,7 @@ FILL = 0.9  # of the picture, by the longest extent of the box
 def _corner_attributes(surface: TexturedSurface) -> NDArray[np.float32]:
     """Position, smooth normal of the welded vertex, and uv of every corner, (3 F, 8) float32."""
     corners = surface.positions[surface.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # as long as twice the area
+    normals = doubled_area_vectors(corners)
     sums = [np.bincount(surface.faces.ravel(), np.repeat(n, 3), len(surface.positions)) for n in normals.T]
     smooth = np.stack(sums, axis=1)
     smooth = smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-30)

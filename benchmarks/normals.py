@@ -30,6 +30,7 @@ from benchmarks._table import print_table
 from preprocess.arrays import Floats
 from preprocess.fit.weight_quadtree import sample_weights
 from preprocess.load import Character, load_character
+from preprocess.mesh.face_geometry import face_areas
 from preprocess.mesh.texels import sample_bilinear
 from runtime.animation.pose import sample, skinning_rows
 from runtime.asset.asset import Asset, load
@@ -42,7 +43,7 @@ def pick_points(character: Character, count: int) -> tuple[np.ndarray, Floats]:
     """Faces (N,) and barycentric coordinates (N, 3), even over the surface."""
     surface, faces = character.mesh.surface, single_faces(character.mesh)
     corners = surface.positions[surface.faces[faces]]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    area = 2.0 * face_areas(corners)
     rng = np.random.default_rng(0)
     return faces[rng.choice(len(area), count, p=area / area.sum())], rng.dirichlet((1, 1, 1), count)
 

@@ -15,6 +15,7 @@ import numpy as np
 from preprocess.arrays import Floats, Indices
 from preprocess.files.srgb import linear_to_srgb
 from preprocess.load.character import Character
+from preprocess.mesh.face_geometry import face_areas
 from preprocess.verify.drawn import Drawn, positions_at, read_drawn, weights_at
 from preprocess.verify.matching import Match, match
 from preprocess.verify.source import Source
@@ -248,7 +249,7 @@ def random_points(corners: Floats, count: int) -> tuple[Indices, Floats]:
 
     The same every time; none where nothing has an area.
     """
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    areas = 2.0 * face_areas(corners)
     total = float(areas.sum())
     if not total > 0:
         return np.zeros(0, np.int64), np.zeros((0, 3))
