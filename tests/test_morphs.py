@@ -12,7 +12,7 @@ import moderngl
 import numpy as np
 import pytest
 from builders_gltf import GltfBuilder, grid
-from builders_morphs import CLIP_TIMES, CLIP_WEIGHTS, NAMES, shifts_of, skin_weights, write_head
+from builders_morphs import CLIP_TIMES, CLIP_WEIGHTS, NAMES, ellipsoid, shifts_of, skin_weights, write_head
 
 import runtime
 from benchmarks._points import MIN_VERSION_CODE, PointCapture, differing_points
@@ -486,7 +486,8 @@ def test_info_tells_what_a_file_holds(source: Path, capsys: pytest.CaptureFixtur
     assert main(["info", str(source), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert [morph["name"] for morph in found["morphs"]] == list(NAMES)
-    assert found["morphs"][0]["largest_shift_m"] == pytest.approx(0.187, abs=2e-3)
+    largest = np.linalg.norm(shifts_of(ellipsoid()["positions"])["smile"], axis=1).max()
+    assert found["morphs"][0]["largest_shift_m"] == pytest.approx(largest, rel=1e-5)
     assert [part["name"] for part in found["parts"]] == ["body", "teeth"]
     assert main(["info", str(source.parent / "missing.glb")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
