@@ -94,6 +94,7 @@ def source_of(asset: Asset, sources: Path) -> Path | None:
     name = asset.manifest.json["source"]["file"]
     for folder in (sources, asset.path.resolve().parent):
         if (folder / name).is_file():
-            return folder / name
+            result: Path | None = folder / name
+            return result
     print(f"({asset.path.name} was built from {name}, which is not in {sources}: give --sources FOLDER)", flush=True)
     return None

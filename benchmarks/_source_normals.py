@@ -23,7 +23,8 @@ Ints = NDArray[np.integer]
 
 def unit(vectors: Floats) -> Floats:
     """Vectors of length one; what has none stays zero."""
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
+    result: Floats = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
+    return result
 
 
 def cofactors(matrices: Floats) -> Floats:

@@ -56,7 +56,8 @@ def match(source: Floats, source_weights: Floats, positions: Floats, weights: Fl
 def skin(rows: Floats, weights: Floats, positions: Floats) -> Floats:
     """Linear blend skinning in 64 bits: (J, 3, 4), (V, J), (V, 3) to (V, 3)."""
     blended = (weights @ rows.reshape(len(rows), 12)).reshape(-1, 3, 4)
-    return np.einsum("vrc,vc->vr", blended[..., :3], positions) + blended[..., 3]
+    result: Floats = np.einsum("vrc,vc->vr", blended[..., :3], positions) + blended[..., 3]
+    return result
 
 
 def measure_errors(asset: Asset, character: Character, moments: int) -> dict[str, Any]:

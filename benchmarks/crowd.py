@@ -293,7 +293,8 @@ class _Bench:
         canvas.release()
         crowd.release()
         color.release()
-        return np.rint(fine.mean(axis=(1, 3))).astype(np.uint8)
+        result: NDArray[np.uint8] = np.rint(fine.mean(axis=(1, 3))).astype(np.uint8)
+        return result
 
     def attributes(self, chain: Chain, color: moderngl.Texture, animation_bytes: int = 0) -> AttributeCrowd:
         """A crowd of the source's own vertices."""

@@ -83,7 +83,8 @@ class DrawnNormals:
 
 def angles_deg(a: Floats, b: Floats) -> Floats:
     """Angles between unit vectors (N, 3), degrees."""
-    return np.degrees(2.0 * np.arcsin(np.clip(np.linalg.norm(a - b, axis=1) / 2.0, 0.0, 1.0)))
+    result: Floats = np.degrees(2.0 * np.arcsin(np.clip(np.linalg.norm(a - b, axis=1) / 2.0, 0.0, 1.0)))
+    return result
 
 
 def rms(values: Floats) -> float:

@@ -38,7 +38,8 @@ def seam_points(lines_uv: Floats, size_px: int) -> Floats:
     seam = np.repeat(np.arange(len(lines_uv)), counts)
     share = (np.arange(len(seam)) - np.repeat(np.cumsum(counts) - counts, counts) + 0.5) / counts[seam]
     ends = lines_uv[seam].swapaxes(0, 1)
-    return ends[:, :, 0] + share[:, None] * (ends[:, :, 1] - ends[:, :, 0])
+    result: Floats = ends[:, :, 0] + share[:, None] * (ends[:, :, 1] - ends[:, :, 0])
+    return result
 
 
 def measure(model: Path, size_px: int | None) -> list[dict[str, Any]]:

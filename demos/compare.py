@@ -96,7 +96,8 @@ def _sample(texels: NDArray[np.float64], uvs: NDArray[np.float32]) -> NDArray[np
     height, width = texels.shape[:2]
     x = np.clip((uvs[:, 0] * width).astype(int), 0, width - 1)
     y = np.clip((uvs[:, 1] * height).astype(int), 0, height - 1)
-    return texels[y, x]
+    result: NDArray[np.float64] = texels[y, x]
+    return result
 
 
 def close_up(asset: Asset, point: NDArray[np.float64], normal: NDArray[np.float64]) -> Camera:

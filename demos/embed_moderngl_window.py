@@ -20,7 +20,7 @@ with needs_packages(__name__, "embed_moderngl_window"):
     import moderngl_window
 
 
-class WalkWindow(moderngl_window.WindowConfig):  # type: ignore[misc]
+class WalkWindow(moderngl_window.WindowConfig):  # type: ignore[misc, name-defined]
     """The scene as moderngl-window wants it."""
 
     gl_version = (4, 1)

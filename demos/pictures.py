@@ -75,7 +75,8 @@ class Studio:
         if finer == 1:
             return pixels
         cells = pixels.reshape(height, finer, width, finer, 3).astype(np.float32)
-        return np.rint(cells.mean(axis=(1, 3))).astype(np.uint8)
+        result: Pixels = np.rint(cells.mean(axis=(1, 3))).astype(np.uint8)
+        return result
 
     def fit(self, actors: Sequence[Actor], camera: Camera, size: tuple[int, int], fill: float = 0.86) -> Camera:
         """Move a camera sideways, nearer or away until the actors fill a share of the picture, in its middle."""

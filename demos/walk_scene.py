@@ -188,7 +188,8 @@ def various_tints(count: int, seed: int = 7) -> NDArray[np.float64]:
     draw = np.random.default_rng(seed)
     light = draw.uniform(0.45, 1.0, count)[:, None]
     warm = draw.uniform(-0.08, 0.08, count)[:, None] * np.array([1.0, 0.1, -1.0])
-    return np.clip(light * (1.0 + warm), 0.0, 1.0)
+    result: NDArray[np.float64] = np.clip(light * (1.0 + warm), 0.0, 1.0)
+    return result
 
 
 def turned(heading: float, place: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -20,11 +20,13 @@ from preprocess.arrays import Floats, Ints
 from preprocess.atlas import Atlas, character_atlas
 from preprocess.bake.geometry import bake_surface_positions
 from preprocess.decimate import Chain, DecimateOptions, decimate
+from preprocess.decimate.chain import near_enough
 from preprocess.export.folder import LodRow, write_folder, write_manifest
 from preprocess.export.report import write_report
 from preprocess.files.output_folder import atomic_folder
 from preprocess.fit.level_geometry import fit_levels
-from preprocess.fit.textures import StoredTexture, TextureStage
+from preprocess.fit.stored_texture import StoredTexture
+from preprocess.fit.textures import TextureStage
 from preprocess.fit.uv_quantisation import snap_levels, snap_mesh
 from preprocess.load import Character, load_character
 from preprocess.load.pose_sampling import sample_poses
@@ -170,6 +172,8 @@ def _build_once(character: Character, folder: Path, settings: Settings, progress
             stored.mesh, lods, poses, settings.geometry_size_px, settings.weight_size_px, shapes
         )
         textures = [*geometry, *textures]
+        if settings.lod_ratios is None:
+            lods = tuple(near_enough(lods))  # what is drawn may be further off than what was decimated
         chain = dataclasses.replace(chain, lods=lods)
         normal_uvs = baking.level_normal_uvs(chain.lods)
         stage.delta = ", ".join(f"{t.name} {t.size[0]}×{t.size[1]}" for t in geometry)
@@ -177,7 +181,6 @@ def _build_once(character: Character, folder: Path, settings: Settings, progress
         *character.warnings,
         *atlas.warnings,
         *baking.notes,
-        *chain.repairs.warnings(),
         *chain.warnings,
         *_missed_levels(chain, settings),
     )

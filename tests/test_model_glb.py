@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
-import shutil
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +10,7 @@ import numpy as np
 import pytest
 from builders_gltf import GltfBuilder, bent_bar, cube, grid
 from conftest import asset
+from gltf_validator import issues
 
 from preprocess.decimate.levels import Lod
 from preprocess.export.glb import screen_coverage, write_model_glb
@@ -27,14 +25,6 @@ from runtime.animation.pose import sample, skinning_matrices
 from runtime.gltf.document import Document, read_document
 
 TEXTURES = {"base_color": {"file": "base_color.png"}, "orm": {"file": "orm.png"}, "normal": {"file": "normal.png"}}
-VALIDATE = """
-const validator = require('gltf-validator'), fs = require('fs'), path = require('path');
-const file = process.argv[1];
-const read = (uri) => fs.promises.readFile(path.join(path.dirname(file), decodeURIComponent(uri)));
-validator.validateBytes(new Uint8Array(fs.readFileSync(file)), {maxIssues: 50,
-  externalResourceFunction: (uri) => read(uri).then((data) => new Uint8Array(data))})
-  .then((report) => console.log(JSON.stringify(report.issues)));
-"""
 
 
 def full_lod(character: Character) -> Lod:
@@ -66,18 +56,6 @@ def written(character: Character, path: Path, **options: Any) -> Document:
         write_image(path.parent / name, Image(np.full((4, 4, 3), 0.5, np.float32)))
     write_model_glb(path, character, character.mesh, [lod, half_lod(lod)], TEXTURES, **options)
     return read_document(path)
-
-
-def issues(path: Path) -> dict[str, Any]:
-    """What the Khronos validator says; skips where node or its package `gltf-validator` is missing."""
-    node = shutil.which("node")
-    if node is None:
-        pytest.skip("node is not installed: the Khronos validator cannot run")
-    run = subprocess.run([node, "-e", VALIDATE, str(path)], capture_output=True, text=True, timeout=120, check=False)
-    if "Cannot find module 'gltf-validator'" in run.stderr:
-        pytest.skip("npm package gltf-validator is not found (npm i gltf-validator, NODE_PATH): validator not run")
-    assert run.returncode == 0, run.stderr
-    return json.loads(run.stdout)
 
 
 def assert_valid(document: Document) -> None:

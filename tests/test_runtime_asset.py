@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from builders_asset import build_ball, lod_mesh, weights_at
 
+from preprocess.errors import InputError
 from preprocess.files.images import Image, read_image, write_image
 from runtime.asset.asset import load
 from runtime.asset.weight_stack import pack_weights, unpack_weights
@@ -93,6 +94,17 @@ def test_missing_and_truncated_textures_are_named(folder: Path, name: str) -> No
     (folder / name).unlink()
     with pytest.raises(AssetError, match="is missing"):
         load(folder)
+
+
+def test_damage_that_the_library_quotes_is_refused_in_a_line(folder: Path) -> None:
+    """OpenEXR's message holds the damaged bytes, which are no UTF-8."""
+    data = bytearray((folder / "position.exr").read_bytes()[:23])
+    data[8] = 128
+    (folder / "position.exr").write_bytes(data)
+    with pytest.raises(AssetError, match=r"position\.exr does not decode \(it is damaged\)"):
+        load(folder)
+    with pytest.raises(InputError, match="does not decode"):
+        read_image(folder / "position.exr")
 
 
 def test_positions_that_are_not_finite_are_refused(folder: Path) -> None:

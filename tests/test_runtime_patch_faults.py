@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from preprocess.mesh.texels import sample_bilinear
-from runtime.gpu.patch_validation import SEGMENTS, _fetch, _grid, distance_to_triangles, faulty_faces, keep_flat
+from runtime.asset.texel_footprint import fetch_bilinear
+from runtime.gpu.patch_validation import SEGMENTS, _grid, distance_to_triangles, faulty_faces, keep_flat
 from runtime.gpu.patches import build_patches, corner_uvs, place_corners, surface_copies
 
 SIZE = 33
@@ -28,7 +29,7 @@ def test_fetching_is_the_projects_bilinear_rule() -> None:
     rng = np.random.default_rng(0)
     texels = rng.normal(size=(7, 5, 3)).astype(np.float32)
     uvs = rng.uniform(-0.1, 1.1, (500, 2)).astype(np.float32)
-    assert np.allclose(_fetch(texels, uvs), sample_bilinear(texels.astype(np.float64), uvs), atol=1e-5)
+    assert np.allclose(fetch_bilinear(texels, uvs), sample_bilinear(texels.astype(np.float64), uvs), atol=1e-5)
 
 
 def test_the_grid_covers_a_triangle_once() -> None:
@@ -105,5 +106,5 @@ def test_a_corner_off_the_surface_does_not_count_where_it_is_drawn_on_it() -> No
     for moved in (False, True):
         patches = place_corners(build_patches(UVS, parked, TRIANGLES), np.arange(4), np.array([moved, 0, 0, 0], bool))
         assert faulty_faces(texels, UVS, parked, patches, 0.051).tolist() == [False, False]
-        drawn = _fetch(texels, corner_uvs(UVS, parked, patches))
+        drawn = fetch_bilinear(texels, corner_uvs(UVS, parked, patches))
         assert np.allclose(drawn[0, 0, 2], 0.0 if moved else 0.05)

@@ -62,7 +62,7 @@ def assign_parts(field: Field, points: Floats) -> Ints:
             scores[points[:, 2] <= 0, LEG] += share[points[:, 2] <= 0]
         else:  # the crest follows what it stands on
             scores[:, TRUNK] += share
-    parts = scores.argmax(axis=1)
+    parts: Ints = scores.argmax(axis=1)
     central = np.isin(parts, (HEAD, TRUNK, TAIL))
     towards = np.array(_HEAD_TOWARDS) / np.linalg.norm(_HEAD_TOWARDS)
     in_head = (points - np.array(_HEAD_FROM)) @ towards > 0
@@ -145,7 +145,8 @@ def _middle_slits(points: Floats, edges: Ints) -> NDArray[np.bool_]:
     in_head = (middle - np.array(_HEAD_FROM)) @ towards > -0.03
     nape = (middle[:, 1] > 0.62) & (middle[:, 2] < 0.36)
     chin = (middle[:, 1] < 0.56) & (middle[:, 2] < 0.50)
-    return on_plane & in_head & (nape | chin)
+    result: NDArray[np.bool_] = on_plane & in_head & (nape | chin)
+    return result
 
 
 def _borders(edge_of_half: Ints, labels: Ints, num_edges: int) -> NDArray[np.bool_]:
@@ -153,7 +154,8 @@ def _borders(edge_of_half: Ints, labels: Ints, num_edges: int) -> NDArray[np.boo
     low, high = np.full(num_edges, 10**6), np.full(num_edges, -1)
     np.minimum.at(low, edge_of_half, of_half)
     np.maximum.at(high, edge_of_half, of_half)
-    return low != high
+    result: NDArray[np.bool_] = low != high
+    return result
 
 
 def _smooth_labels(faces: Ints, labels: Ints, right: NDArray[np.bool_], rounds: int = 6) -> Ints:

@@ -82,7 +82,8 @@ class Ellipsoid:
 
 def _dot(points: Floats, direction: Floats) -> Floats:
     """Dot products, rounded the same way whatever the number of points or threads (matrix products are not)."""
-    return points[..., 0] * direction[0] + points[..., 1] * direction[1] + points[..., 2] * direction[2]
+    result: Floats = points[..., 0] * direction[0] + points[..., 1] * direction[1] + points[..., 2] * direction[2]
+    return result
 
 
 def _squares(points: Floats) -> Floats:
@@ -101,7 +102,8 @@ def _turn(pitch: float, yaw: float, roll: float) -> Floats:
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
     about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    return about_z @ about_y @ about_x
+    result: Floats = about_z @ about_y @ about_x
+    return result
 
 
 @dataclass(frozen=True)

@@ -135,4 +135,5 @@ def to_quaternions(matrices: Floats) -> NDArray[np.float32]:
     quaternions[0] *= np.where(quaternions[0, 3] < 0, -1.0, 1.0)
     flips = np.where((quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0, -1.0, 1.0)
     quaternions[1:] *= np.cumprod(flips)[:, None]
-    return quaternions.astype(np.float32)
+    result: NDArray[np.float32] = quaternions.astype(np.float32)
+    return result

@@ -16,7 +16,8 @@ def _hash(x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.int64], seed
     value = value ^ z.astype(_U32) * _U32(0xCB1AB31F) ^ _U32(seed * 0x9E3779B1 & 0xFFFFFFFF)
     value = (value ^ (value >> _U32(15))) * _U32(0x2C1B3C6D)
     value = (value ^ (value >> _U32(12))) * _U32(0x297A2D39)
-    return value ^ (value >> _U32(15))
+    result: NDArray[np.uint32] = value ^ (value >> _U32(15))
+    return result
 
 
 def value_noise(points: Floats, seed: int = 0) -> Floats:

@@ -28,13 +28,15 @@ def _turn_to_box(uvs: Floats) -> Floats:
             best, best_area = turned, area
     if np.ptp(best[:, 0]) < np.ptp(best[:, 1]):
         best = best @ np.array([[0.0, 1.0], [-1.0, 0.0]])
-    return best - best.min(axis=0)
+    result: Floats = best - best.min(axis=0)
+    return result
 
 
 def _quarter(uvs: Floats, turns: int) -> Floats:
     for _ in range(turns):
         uvs = uvs @ np.array([[0.0, 1.0], [-1.0, 0.0]])
-    return uvs - uvs.min(axis=0)
+    result: Floats = uvs - uvs.min(axis=0)
+    return result
 
 
 def _mask(uvs: Floats, faces: Ints) -> NDArray[np.bool_] | None:

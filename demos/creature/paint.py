@@ -190,7 +190,8 @@ def _tipness(canvas: _Canvas) -> Floats:
     fin = np.linalg.norm(f - np.array([0.0, 0.31, -0.93]), axis=1) / 0.24
     parts = [canvas.share(name) for name in ("ear", "wing", "fin", "crest")]
     total = np.maximum(sum(parts), 1e-6)
-    return (parts[0] * ear + parts[1] * wing + parts[2] * fin + parts[3] * 0.45) / total
+    result: Floats = (parts[0] * ear + parts[1] * wing + parts[2] * fin + parts[3] * 0.45) / total
+    return result
 
 
 def _mouth_line(canvas: _Canvas) -> Floats:

@@ -238,7 +238,8 @@ def _bent_faces(field: Field, points: Floats, faces: Ints) -> NDArray[np.bool_]:
     normals, _ = face_normals(points, faces)
     outwards = field.gradient(points[faces].mean(axis=1))
     flat = corner_cotangents(points, faces).max(axis=1) > 23.0
-    return ((normals * outwards).sum(axis=1) < 0.1) | flat
+    result: NDArray[np.bool_] = ((normals * outwards).sum(axis=1) < 0.1) | flat
+    return result
 
 
 def smooth_seams(

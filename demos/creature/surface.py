@@ -38,7 +38,8 @@ def corner_cotangents(points: Floats, faces: Ints) -> Floats:
     tip = np.roll(corners, -2, axis=1)
     first, second = corners - tip, np.roll(corners, -1, axis=1) - tip
     cross = np.linalg.norm(np.cross(first, second), axis=2)
-    return (first * second).sum(axis=2) / np.maximum(cross, 1e-20)
+    result: Floats = (first * second).sum(axis=2) / np.maximum(cross, 1e-20)
+    return result
 
 
 def weighted_laplacian(faces: Ints, weights: Floats, num_vertices: int) -> sparse.csr_matrix:
@@ -47,7 +48,8 @@ def weighted_laplacian(faces: Ints, weights: Floats, num_vertices: int) -> spars
     w = weights.reshape(-1)
     rows, columns = np.r_[start, end], np.r_[end, start]
     adjacency = sparse.coo_matrix((np.r_[w, w], (rows, columns)), shape=(num_vertices, num_vertices)).tocsr()
-    return (sparse.diags(np.asarray(adjacency.sum(axis=1)).ravel()) - adjacency).tocsr()
+    result: sparse.csr_matrix = (sparse.diags(np.asarray(adjacency.sum(axis=1)).ravel()) - adjacency).tocsr()
+    return result
 
 
 def vertex_areas(points: Floats, faces: Ints) -> Floats:

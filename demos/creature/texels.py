@@ -140,7 +140,8 @@ def _barycentric_of(mesh: BodyMesh, face: Ints, x: Ints, y: Ints, size: int) -> 
     third = ((b - a)[:, 0] * (p - a)[:, 1] - (b - a)[:, 1] * (p - a)[:, 0]) / double
     result = np.stack([1.0 - second - third, second, third], axis=1)
     result = np.clip(result, -2.0, 3.0)
-    return result / result.sum(axis=1, keepdims=True)
+    found: Floats = result / result.sum(axis=1, keepdims=True)
+    return found
 
 
 def tangent_normals(mesh: BodyMesh, texels: Texels, height: Floats, wanted: Floats) -> Floats:
@@ -177,4 +178,5 @@ def tangent_normals(mesh: BodyMesh, texels: Texels, height: Floats, wanted: Floa
     bitangent = np.cross(normal, tangent) * np.sign(tangent4[:, 3])[:, None]
     local = np.stack([(bent * axis).sum(axis=1) for axis in (tangent, bitangent, normal)], axis=1)
     local[:, 2] = np.maximum(local[:, 2], 0.05)
-    return local / np.linalg.norm(local, axis=1)[:, None]
+    result: Floats = local / np.linalg.norm(local, axis=1)[:, None]
+    return result

@@ -45,7 +45,8 @@ _REGION_JOINTS: dict[str, tuple[str, ...]] = {
 def _segment_distance(points: Floats, start: Floats, end: Floats) -> Floats:
     axis = end - start
     t = np.clip((points - start) @ axis / max(float(axis @ axis), 1e-12), 0.0, 1.0)
-    return np.linalg.norm(points - start - t[:, None] * axis, axis=1)
+    result: Floats = np.linalg.norm(points - start - t[:, None] * axis, axis=1)
+    return result
 
 
 def _first_guess(field: Field, joints: Joints, points: Floats) -> Floats:

@@ -167,7 +167,8 @@ def _add_mesh(
 
 def _unit(vectors: NDArray[Any]) -> NDArray[np.float32]:
     wide = vectors.astype(np.float64)
-    return (wide / np.linalg.norm(wide, axis=1, keepdims=True)).astype(np.float32)
+    result: NDArray[np.float32] = (wide / np.linalg.norm(wide, axis=1, keepdims=True)).astype(np.float32)
+    return result
 
 
 def _add_clip(document: gltf.GLTF2, binary: _Binary, motion: Motion) -> None:

@@ -52,7 +52,8 @@ class Detail:
 
     def finest(self) -> Floats:
         """Texels a metre for the most demanding kind, (F,)."""
-        return np.max([np.zeros(len(self.image_sizes)), *self.needs.values()], axis=0)
+        result: Floats = np.max([np.zeros(len(self.image_sizes)), *self.needs.values()], axis=0)
+        return result
 
     def of_faces(self, sources: NDArray[np.integer]) -> Detail:
         """The same for faces that are parts of others."""
@@ -105,7 +106,8 @@ def _needed_lengths(
     height, width = levels.shape
     corners = mesh.corner_texcoords[faces][:, :, ref.texcoord] @ transform[:2, :2].T + transform[:2, 2]
     corners = np.ascontiguousarray(np.clip(corners * (width, height), -FARTHEST_PX, FARTHEST_PX))
-    return np.sqrt(np.abs(turned_areas(corners))) / np.exp2(_face_levels(corners, levels))
+    result: Floats = np.sqrt(np.abs(turned_areas(corners))) / np.exp2(_face_levels(corners, levels))
+    return result
 
 
 def find_levels(texels: NDArray[np.floating]) -> NDArray[np.uint8]:

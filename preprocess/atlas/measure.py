@@ -161,4 +161,5 @@ def _run_straight(uvs: Floats, pairs: np.ndarray, first: np.ndarray, second: np.
     left, right = length1[:, 0] * length2[:, 1], length1[:, 1] * length2[:, 0]
     matched = np.abs(left - right) <= STRAIGHT_REL * np.maximum(left, right)
     joined = (tail1 == tail2).all(axis=1)
-    return straight.all(axis=1) & matched & joined
+    result: np.ndarray = straight.all(axis=1) & matched & joined
+    return result

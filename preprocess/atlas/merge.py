@@ -167,7 +167,8 @@ def _are_narrow(edges: MeshEdges, rows: NDArray[np.int64], lengths: Floats, corn
     gap = np.linalg.norm(flat[left] - flat[_next(right)], axis=1) + np.linalg.norm(
         flat[_next(left)] - flat[right], axis=1
     )
-    return gap <= NARROW_REL * lengths[rows]
+    result: Bools = gap <= NARROW_REL * lengths[rows]
+    return result
 
 
 def _connected_paths(vertices: Ints, keys: NDArray[np.int64], breaks: Bools) -> NDArray[np.int64]:
@@ -277,4 +278,5 @@ def _means(points: Floats, owners: NDArray[np.int64], num: int) -> Floats:
 
 
 def _next(half: NDArray[np.integer]) -> NDArray[np.integer]:
-    return half - half % 3 + (half + 1) % 3
+    result: NDArray[np.integer] = half - half % 3 + (half + 1) % 3
+    return result

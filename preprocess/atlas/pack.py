@@ -54,7 +54,8 @@ class Packing:
     def apply(self, points: Floats, charts: NDArray[np.integer]) -> Floats:
         """Place points (N, 2) that belong to charts (N,)."""
         turned = np.einsum("nij,nj->ni", self.rotation[charts], points)
-        return self.scale[charts][:, None] * turned + self.offset[charts]
+        result: Floats = self.scale[charts][:, None] * turned + self.offset[charts]
+        return result
 
 
 def pack_charts(

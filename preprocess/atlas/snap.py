@@ -10,8 +10,9 @@ import numpy as np
 
 from preprocess.arrays import Floats, Ints
 from preprocess.mesh.predicates import face_orientation
-from preprocess.mesh.texels import UV_STEPS, snap_canonical_uvs
+from preprocess.mesh.texels import snap_canonical_uvs
 from preprocess.numerics.jit import entry, helper
+from runtime.asset.lod_mesh import UV_STEPS
 
 REACH = 3  # steps that a vertex may go, each way
 SWEEPS = 12

@@ -166,4 +166,5 @@ def _number_anew(labels: NDArray[np.integer]) -> Indices:
     _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
     rank = np.empty(len(first), np.int64)
     rank[np.argsort(first)] = np.arange(len(first))
-    return rank[inverse.reshape(-1)]
+    result: Indices = rank[inverse.reshape(-1)]
+    return result

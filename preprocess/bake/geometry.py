@@ -134,7 +134,8 @@ def plan_fit(
     def fit(texels: Floats, values: Floats) -> Floats:
         flat = texels.reshape(-1, texels.shape[2])
         multipliers = factor.solve(np.asarray(values - stencil @ flat))
-        return (flat + stencil.T @ multipliers).reshape(texels.shape)
+        result: Floats = (flat + stencil.T @ multipliers).reshape(texels.shape)
+        return result
 
     return fit
 

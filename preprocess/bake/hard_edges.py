@@ -23,7 +23,8 @@ from preprocess.mesh.face_geometry import doubled_signed_areas
 from preprocess.mesh.grouping import connected_groups
 from preprocess.mesh.seams import Seams
 from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
-from preprocess.mesh.texels import UV_STEPS, px_to_uv, uv_to_px
+from preprocess.mesh.texels import px_to_uv, uv_to_px
+from runtime.asset.lod_mesh import UV_STEPS
 
 CREASE_RAD = np.radians(5.0)  # neighbours' normals at a shared corner that differ by more are meant to
 # A bilinear sample reaches |x| + |y| texels across an edge whose unit normal is (x, y). A little more covers the
@@ -73,7 +74,8 @@ def find_hard_starts(corner_normals: Floats, twins: Indices, crease_rad: float =
     normals = corner_normals.reshape(-1, 3)
     across = next_corners(twins)  # the corner of the other face at the same vertex
     gap = np.linalg.norm(normals - normals[across], axis=1)
-    return (twins >= 0) & (gap > 2 * np.sin(crease_rad / 2))
+    result: Bools = (twins >= 0) & (gap > 2 * np.sin(crease_rad / 2))
+    return result
 
 
 def _wanted_moves(fans: Indices, num_fans: int, hard: Bools, twins: Indices, corners_px: Floats) -> Floats:
@@ -99,7 +101,8 @@ def _wanted_moves(fans: Indices, num_fans: int, hard: Bools, twins: Indices, cor
     x, y = (add_up(normal[:, axis] * distance) for axis in range(2))
     moves = np.stack([yy * x - xy * y, xx * y - xy * x], axis=1) / (xx * yy - xy * xy)[:, None]
     size = np.linalg.norm(moves, axis=1, keepdims=True)
-    return moves * np.minimum(1.0, MAX_MOVE_PX / np.maximum(size, MAX_MOVE_PX))
+    result: Floats = moves * np.minimum(1.0, MAX_MOVE_PX / np.maximum(size, MAX_MOVE_PX))
+    return result
 
 
 def _shorten(moves: Floats, face_fans: Indices, triangles_px: Floats) -> Floats:
@@ -174,7 +177,8 @@ def move_seams(seams: Seams, surface: TexturedSurface, normal: NormalUvs) -> Sea
 
     def at(faces: NDArray[np.integer], texture_vertices: NDArray[np.integer]) -> NDArray[np.int32]:
         corner = (surface.face_uvs[faces] == texture_vertices[..., None]).argmax(axis=-1)
-        return normal.face_uvs[faces, corner]
+        result: NDArray[np.int32] = normal.face_uvs[faces, corner]
+        return result
 
     some_corner = np.zeros(len(surface.uvs), np.int32)
     some_corner[surface.face_uvs.reshape(-1)] = normal.face_uvs.reshape(-1)

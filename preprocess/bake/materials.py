@@ -85,11 +85,12 @@ def bake_materials(
     used = np.unique(mesh.face_materials)
     materials = character.materials
     textures = []
-    for name, of, is_color in (
+    kinds: tuple[tuple[str, Callable[[Material], TextureRef | None], bool], ...] = (
         ("base_color", lambda m: m.base_color, True),
         ("orm", lambda m: m.metallic_roughness or m.occlusion, False),
         ("emissive", lambda m: m.emissive, True),
-    ):
+    )
+    for name, of, is_color in kinds:
         refs: list[TextureRef | None] = [of(materials[i]) for i in used]
         if name != "base_color" and not _varies(name, [materials[i] for i in used], refs):
             continue
@@ -204,7 +205,8 @@ def base_colors_at(
 
 def _base_color(material: Material, lookup: _Lookup, rows: NDArray[np.integer]) -> Floats:
     values = lookup.color(material.base_color, rows)
-    return values * np.asarray(material.base_color_factor)
+    result: Floats = values * np.asarray(material.base_color_factor)
+    return result
 
 
 def _emissive(material: Material, lookup: _Lookup, rows: NDArray[np.integer]) -> Floats:
@@ -381,4 +383,5 @@ def normals_at(
 
 
 def _unit(vectors: Floats) -> Floats:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
+    result: Floats = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
+    return result

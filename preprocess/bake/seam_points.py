@@ -38,7 +38,8 @@ class SurfacePoints:
 
     def interpolate(self, corner_values: Floats) -> Floats:
         """Values given at the corners of all faces, (F, 3, C), at the points, (N, C)."""
-        return np.einsum("nk,nkc->nc", self.barycentrics, corner_values[self.faces])
+        result: Floats = np.einsum("nk,nkc->nc", self.barycentrics, corner_values[self.faces])
+        return result
 
 
 def spread_points(corners: Floats, count: int) -> SurfacePoints:

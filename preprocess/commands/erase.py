@@ -30,6 +30,7 @@ from preprocess.mesh.surface import TexturedSurface
 from runtime.errors import AssetError
 from runtime.gltf.limits import Limits
 from runtime.gltf.local_files import check_regular
+from runtime.gltf.png_check import first_line
 
 logger = logging.getLogger(__name__)
 
@@ -103,7 +104,7 @@ def _read_size(path: Path) -> tuple[int, int, int, str]:
     with quiet_libraries():
         reader = oiio.ImageInput.open(str(path))
         if reader is None:
-            reason = (oiio.geterror() or "unknown format").splitlines()[0]
+            reason = first_line(oiio.geterror, "unknown format")
             raise InputError(f"{path.name} does not decode ({reason}): save it as PNG, JPEG, TIFF or EXR")
         spec = reader.spec()
         reader.close()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,13 +40,14 @@ DENSE_WITNESSES = 5
 # With more of them a level is made once: a second time would take seconds for each.
 MOST_WITNESSES_TWICE = 150_000
 # The run may stop this far above the floor that the charts' corners set.
-NEAR_FLOOR_REL = 1.5
-# No relaxed level whose error is this share of the longest extent: where it were used, the character is two pixels.
-MAX_ERROR_REL = 0.5
-# Faces of each relaxed level, of the one before.
+NEAR_FLOOR_REL = 2.0
+# No level whose error is a larger share of the longest extent: where it were used, the character is ten pixels.
+MAX_ERROR_REL = 0.1
+# Relaxed levels end with about so many of the fewest faces that are asked for, of a level twice as coarse.
 RELAXED_SHARE = math.sqrt(0.5)
-# Allowances tried for a relaxed level, as multiples of what the level before would be allowed.
-RELAXED_GROWTHS = (1.5, 2.5)
+# Error that a relaxed level may have, of the one before; of the extent, where that has none.
+RELAXED_GROWTH = 1.25
+LEAST_ERROR_REL = 1e-3
 
 
 def _targets(num_faces: int, options: DecimateOptions) -> list[int]:
@@ -118,9 +120,7 @@ def decimate_to(
         engine.run_to(target_faces)  # turned edges may have made room
     stopped = engine.num_faces > target_faces
     blocked = engine.blocked() if stopped else {}
-    return Chain(
-        (engine.snapshot(),), engine.num_faces if stopped else -1, blocked, engine.repairs, engine.repairs.warnings()
-    )
+    return Chain((engine.snapshot(),), engine.num_faces if stopped else -1, blocked, engine.repairs)
 
 
 def decimate_within(
@@ -168,7 +168,7 @@ def decimate_within(
             break
     stopped = engine.num_faces > target
     floor, blocked = (engine.num_faces, engine.blocked()) if stopped else (-1, {})
-    return Chain((best,), floor, blocked, engine.repairs, engine.repairs.warnings())
+    return Chain((best,), floor, blocked, engine.repairs)
 
 
 def _measured(reference: Reference, lod: Lod, at_least_m: float) -> Lod:
@@ -209,54 +209,48 @@ class _Attempt:
     num_dropped: int
     size_m: float
 
-    @property
-    def num_faces(self) -> int:
-        return self.engine.num_faces
 
-
-def _relaxed_attempt(engine: Engine, error_m: float, target: int, options: DecimateOptions) -> _Attempt:
-    """Go on from a state as if the error were known; whole parts go only where collapses do not suffice."""
+def _relaxed_attempt(engine: Engine, error_m: float, options: DecimateOptions) -> _Attempt:
+    """Go on from a state as far as an error allows: collapses within it, then parts smaller than it, and so on."""
     copy = engine.copy()
     copy.relax(options.relaxed_px * error_m / engine.metres_per_uv)
-    copy.run_to(target)
-    dropped = copy.drop_parts(error_m, target) if copy.num_faces > target and options.drop_parts else (0, 0.0)
-    return _Attempt(copy, *dropped)
+    num_dropped, size_m = 0, 0.0
+    while True:
+        before = copy.num_faces
+        copy.run_within(error_m)
+        if options.drop_parts:
+            gone, largest_m = copy.drop_parts(error_m)
+            num_dropped, size_m = num_dropped + gone, max(size_m, largest_m)
+        if copy.num_faces == before:
+            return _Attempt(copy, num_dropped, size_m)
 
 
 def _relaxed_levels(engine: Engine, reference: Reference, finest: Lod, options: DecimateOptions) -> list[Lod]:
     """Levels near the exact floor and below it, each with seams that stray by less than can be seen where it is used.
 
     A level is used where its error is about a pixel, and the mip level there has texels of about a pixel, so half a
-    texel of that mip is half of the error, as a length on the surface. A few allowances are tried, from that of the
-    level before upwards. Where the seams stray further, or a larger part went, than the measured distance to the full
-    mesh allows, the level's error says so instead: it is used from as much further away. The attempt with the least
-    error times faces is taken, so half the faces may cost twice the error.
+    texel of that mip is half of the error, as a length on the surface. So here the error comes first: it grows from
+    level to level, and each goes as far as it allows, in the surface, in the seams, and in the parts that are left out.
+    Where the measured distance is larger after all, the level says so and is used from as much further away.
     """
     lods: list[Lod] = []
     last, dropped = finest, 0
-    largest_m = MAX_ERROR_REL * float(np.ptp(reference.surface.positions, axis=0).max())
-    target = finest.num_faces * RELAXED_SHARE
-    while target >= options.min_faces * RELAXED_SHARE:
-        best, best_lod = None, last
-        for growth in (1.0, *RELAXED_GROWTHS):
-            tried = _relaxed_attempt(engine, growth * last.error_m, round(target), options)
-            strayed_uv = tried.engine.deviation_uv
-            error_m = max(last.error_m, strayed_uv * engine.metres_per_uv / options.relaxed_px, tried.size_m)
-            score = best_lod.error_m * best_lod.num_faces if best else np.inf
-            wasteful = tried.num_faces > (1 - MIN_SAVING_REL) * last.num_faces or error_m * tried.num_faces >= score
-            if wasteful or error_m > largest_m:
-                continue  # without measuring it
-            tried.engine.polish(rounds=1)
-            lod = _measured(reference, tried.engine.snapshot(), error_m)
-            if lod.error_m <= largest_m and lod.error_m * lod.num_faces < score:
-                best, best_lod = tried, lod
-        target *= RELAXED_SHARE
-        if best is None:
+    largest_m = MAX_ERROR_REL * reference.extent_m
+    error_m = last.error_m
+    while error_m < largest_m and last.num_faces > options.min_faces * RELAXED_SHARE:
+        error_m = min(RELAXED_GROWTH * error_m, largest_m) if error_m > 0.0 else LEAST_ERROR_REL * reference.extent_m
+        tried = _relaxed_attempt(engine, error_m, options)
+        if tried.engine.num_faces > (1 - MIN_SAVING_REL) * last.num_faces:
             continue
-        engine, dropped = best.engine, dropped + best.num_dropped
-        strayed_uv = engine.deviation_uv
+        tried.engine.polish()
+        strayed_uv = tried.engine.deviation_uv
+        hidden_m = max(last.error_m, strayed_uv * engine.metres_per_uv / options.relaxed_px, tried.size_m)
+        lod = _measured(reference, tried.engine.snapshot(), hidden_m)
+        if lod.error_m > largest_m:
+            continue
+        engine, dropped = tried.engine, dropped + tried.num_dropped
         last = replace(
-            best_lod,
+            lod,
             exact=strayed_uv <= ROUNDING_UV and not dropped,
             uv_bound_px=strayed_uv * options.texture_px,
             dropped_parts=dropped,
@@ -273,6 +267,12 @@ def _merged(exact: list[Lod], relaxed: list[Lod]) -> tuple[list[Lod], list[Lod]]
         if all(lod.error_m < AS_NEAR_REL * other.error_m for other in exact if other.num_faces <= lod.num_faces)
     ]
     return [lod for lod in exact if not relaxed or lod.num_faces > relaxed[0].num_faces], relaxed
+
+
+def near_enough(lods: Sequence[Lod]) -> list[Lod]:
+    """Levels, the finest first, but for those whose error is beyond `MAX_ERROR_REL`."""
+    largest_m = MAX_ERROR_REL * float(np.ptp(lods[0].positions, axis=0).max())
+    return [lod for number, lod in enumerate(lods) if number == 0 or lod.error_m <= largest_m]
 
 
 def _useful(lods: list[Lod], relaxed: list[Lod]) -> tuple[list[Lod], list[Lod]]:
@@ -346,15 +346,10 @@ def decimate(
                 relaxed = _relaxed_levels(before, reference, finest, options)
             break
     if options.ratios is None:
-        lods, relaxed = _useful(*_merged(lods, relaxed))
-    warnings = list(engine.repairs.warnings())
-    for number, lod in enumerate(relaxed, len(lods)):
-        if not lod.exact:
-            text = f"level {number} ({lod.num_faces} faces) has seams relaxed by up to {lod.uv_bound_px:.1f} texels"
-            warnings.append(text + (f" and leaves out {lod.dropped_parts} small parts" if lod.dropped_parts else ""))
+        lods, relaxed = _useful(*_merged(near_enough(lods), relaxed))
     lods += relaxed
     log.info("decimate: %d -> %s faces", len(surface.faces), ", ".join(str(lod.num_faces) for lod in lods))
-    return Chain(tuple(lods), floor, blocked, engine.repairs, tuple(warnings))
+    return Chain(tuple(lods), floor, blocked, engine.repairs)
 
 
 def floor_faces(surface: TexturedSurface, tolerance_uv: float = ROUNDING_UV) -> int:

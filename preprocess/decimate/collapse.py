@@ -29,6 +29,7 @@ from preprocess.decimate.rules import (
     POSE_ROTATION,
     POSE_SIZE,
     PRICED,
+    RELAXED,
     RETRY,
     SEAM_TOLERANCE,
     SILHOUETTES,
@@ -104,6 +105,22 @@ def _join(m, x, y):
 
 
 @helper
+def _count_silhouettes(m, v):
+    """Count the seam and boundary edges at a vertex anew; the virtual vertex has none."""
+    if v == len(m.vertices) - 1:
+        return
+    count = 0
+    start = m.vertices[v, OUT]
+    g = start
+    while True:
+        count += 1 if is_silhouette(m.links, g) else 0
+        g = m.links[previous_of(g), TWIN]
+        if g == start:
+            break
+    m.vertices[v, SILHOUETTES] = count
+
+
+@helper
 def _spread_deviation(m, h, free_ends):
     """Charge the silhouette edges that replace an edge and its neighbours with how far they stray."""
     t = m.links[h, TWIN]
@@ -115,7 +132,7 @@ def _spread_deviation(m, h, free_ends):
                 m.deviation[e] = deviation
             return
     deviation, g = removal_deviation(m, h)
-    if deviation <= m.settings[SEAM_TOLERANCE]:
+    if deviation <= m.settings[SEAM_TOLERANCE] and is_silhouette(m.links, h):
         m.deviation[g] = deviation
         m.deviation[m.links[g, TWIN]] = deviation
         return
@@ -155,7 +172,7 @@ def collapse(m, h, row, free_ends):
     a, b = m.links[h, TAIL], m.links[t, TAIL]
     hn, hp, tn, tp = next_of(h), previous_of(h), next_of(t), previous_of(t)
     a0, a1, b0, b1 = m.links[h, WEDGE], m.links[tn, WEDGE], m.links[hn, WEDGE], m.links[t, WEDGE]
-    if is_silhouette(m.links, h):
+    if is_silhouette(m.links, h) or m.vertices[b, SILHOUETTES] > 0:
         _spread_deviation(m, h, free_ends)
     if m.settings[PEAK] > 0.0:
         hand_over_collapse(m, h, row)
@@ -193,8 +210,8 @@ def collapse(m, h, row, free_ends):
     m.vertices[a, OUT] = to_c
     m.vertices[m.links[from_c, TAIL], OUT] = from_c
     m.vertices[m.links[from_d, TAIL], OUT] = from_d
-    if m.vertices[b, SILHOUETTES] > 2:
-        m.vertices[a, SILHOUETTES] += m.vertices[b, SILHOUETTES] - 2
+    for v in (a, m.links[from_c, TAIL], m.links[from_d, TAIL]):
+        _count_silhouettes(m, v)
     num_faces = len(m.faces)
     for e in (h, hn, hp, t, tn, tp):
         m.links[e, TWIN] = -1
@@ -235,7 +252,7 @@ def _pick(m, h, count):
 @helper
 def attempt(m, h, free_ends):
     """Candidates of an oriented edge, checked: number of the best, or minus the rule that stands against it."""
-    if not link_holds(m.links, m.vertices, m.counter, h):
+    if not link_holds(m.links, m.vertices, m.counter, m.settings[RELAXED], h):
         return -LINK
     best = _pick(m, h, propose(m, h, free_ends, ALL))
     return best if best >= 0 else -FLIP

@@ -12,7 +12,16 @@ import numpy as np
 
 from preprocess.decimate.deviation_samples import FIRST_POSE, POSE_STRIDE, SLIP_COLUMN, WEIGHT_COLUMN
 from preprocess.decimate.placement import pose_position
-from preprocess.decimate.rules import APEX_ROW, CHART, FIRST_WITNESS, FOLLOWING, GATHERED, ITS_CHART, WEIGHTS_ROW
+from preprocess.decimate.rules import (
+    APEX_ROW,
+    CHART,
+    FIRST_WITNESS,
+    FOLLOWING,
+    GATHERED,
+    ITS_CHART,
+    POSE_ROTATION,
+    WEIGHTS_ROW,
+)
 from preprocess.decimate.topology import TAIL, TWIN, WEDGE, next_of, previous_of
 from preprocess.numerics.jit import fixed_memory_helper as helper
 
@@ -119,18 +128,42 @@ def find_face(m, k, chart, num_rows, guess):
 
 
 @helper
+def departure_in_pose(row, point, weights, q):
+    """How far a sample is in pose q from the point of a row of the fan: along its normal, and squared in all."""
+    o, p = CORNERS + CORNERS_STRIDE * q, FIRST_POSE + POSE_STRIDE * q
+    along, square = 0.0, 0.0
+    for i in range(3):
+        away = weights[0] * row[o + i] + weights[1] * row[o + 3 + i] + weights[2] * row[o + 6 + i] - point[p + i]
+        along += away * point[p + 3 + i]
+        square += away * away
+    return along, square
+
+
+@helper
+def rotation_at(m, v, q, row, column):
+    """An entry of the matrix that turns steps of a vertex from bind pose into pose q of the samples."""
+    if q == 0:
+        return 1.0 if row == column else 0.0
+    return m.pose[v, q - 1, POSE_ROTATION + 3 * row + column]
+
+
+@helper
+def posed_column_dot(m, v, q, column, point, o):
+    """How far a unit step of a vertex along one axis goes in pose q along the direction at point[o]."""
+    value = 0.0
+    for row in range(3):
+        value += rotation_at(m, v, q, row, column) * point[o + row]
+    return value
+
+
+@helper
 def square_departure(m, k, found):
     """Largest square over the poses of witness k's distance from the point of a row that `find_face` has found, times
     its weight."""
     row, point, weights = m.fan[found], m.points[k], m.work[WEIGHTS_ROW]
     largest = 0.0
     for q in range(num_poses(m)):
-        o, p = CORNERS + CORNERS_STRIDE * q, FIRST_POSE + POSE_STRIDE * q
-        along, square = 0.0, 0.0
-        for i in range(3):
-            away = weights[0] * row[o + i] + weights[1] * row[o + 3 + i] + weights[2] * row[o + 6 + i] - point[p + i]
-            along += away * point[p + 3 + i]
-            square += away * away
+        along, square = departure_in_pose(row, point, weights, q)
         largest = max(largest, along * along + point[SLIP_COLUMN] * (square - along * along))
     return largest * point[WEIGHT_COLUMN]
 

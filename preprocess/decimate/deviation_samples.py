@@ -125,7 +125,8 @@ def no_witnesses(num_faces: int) -> Witnesses:
 
 
 def _side_lengths(positions: Floats, faces: NDArray[np.int64]) -> Floats:
-    return np.linalg.norm(positions[faces] - positions[np.roll(faces, 1, axis=1)], axis=2)
+    result: Floats = np.linalg.norm(positions[faces] - positions[np.roll(faces, 1, axis=1)], axis=2)
+    return result
 
 
 def _sum_at_corners(values: Floats, corners: NDArray[np.int64], num_vertices: int) -> Floats:
@@ -140,7 +141,7 @@ def _slips(half_edges: HalfEdges, crosses: Floats, sums: Floats) -> Floats:
     corners = half_edges.tail[: 3 * num_faces]
     areas = np.bincount(corners, np.repeat(np.linalg.norm(crosses, axis=1), 3), num_vertices)
     bend = 1.0 - np.linalg.norm(sums, axis=1) / np.where(areas > 0.0, areas, 1.0)
-    slips = np.clip(SLIP + SLIP_PER_BEND * (bend - SMOOTH_BEND), SLIP, 1.0)
+    slips: Floats = np.clip(SLIP + SLIP_PER_BEND * (bend - SMOOTH_BEND), SLIP, 1.0)
     at_holes = half_edges.tail[3 * num_faces :]
     slips[at_holes[(at_holes >= 0) & (at_holes < num_vertices)]] = 1.0
     return slips

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 
 from preprocess.arrays import Floats, Ints
@@ -163,11 +163,19 @@ class Chain:
     blocked : dict from rule to number of edges
         Why the edges that are left at the end cannot collapse (empty where the run stopped before).
     repairs : Repairs
-    warnings : tuple of str
     """
 
     lods: tuple[Lod, ...]
     floor_faces: int
     blocked: dict[str, int]
     repairs: Repairs
-    warnings: tuple[str, ...] = field(default=())
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """One line for each kind of repair, and for each level whose seams are relaxed."""
+        lines = list(self.repairs.warnings())
+        for number, lod in enumerate(self.lods):
+            if not lod.exact:
+                line = f"level {number} ({lod.num_faces} faces) has seams relaxed by up to {lod.uv_bound_px:.1f} texels"
+                lines.append(line + (f" and leaves out {lod.dropped_parts} small parts" if lod.dropped_parts else ""))
+        return tuple(lines)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from preprocess.arrays import Floats
+from preprocess.arrays import Bools, Floats
 from preprocess.decimate.topology import NO_WEDGE, HalfEdges
 from preprocess.mesh.grouping import connected_groups
 
@@ -24,7 +24,7 @@ def find_free_vertices(half_edges: HalfEdges, uvs: Floats, tolerance_uv: float) 
     g, k = outgoing.T  # b -> q and b -> p
     b = tail[g]
 
-    def side(p: NDArray[np.int64], middle: NDArray[np.int64], q: NDArray[np.int64]) -> tuple[NDArray, ...]:
+    def side(p: NDArray[np.int64], middle: NDArray[np.int64], q: NDArray[np.int64]) -> tuple[Bools, Floats, Floats]:
         """Is the side real, its line and its offset from the line's start."""
         real = (p != NO_WEDGE) & (middle != NO_WEDGE) & (q != NO_WEDGE)
         line = np.where(real[:, None], uvs[q] - uvs[p], 0.0)

@@ -78,4 +78,5 @@ def _growth(engine: Engine, distances: Distances) -> Floats:
     ranks = range(1, min(NEIGHBOURS, len(distances.places)) + 1)
     _, near = cKDTree(distances.places).query(engine.witness_places(), k=ranks)
     worst = distances.each_m[near].max(axis=1)
-    return np.maximum(worst / max(EASY_REL * distances.largest_m, 1e-30), 1.0) ** 2
+    result: Floats = np.maximum(worst / max(EASY_REL * distances.largest_m, 1e-30), 1.0) ** 2
+    return result

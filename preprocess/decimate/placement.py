@@ -201,7 +201,8 @@ def _propose_fixed(m, h, full):
     q, s = m.work[QUADRIC_ROW], m.work
     clear(q)
     hold_vertex(m.links, m.uv, m.quadric, q, h, scale)
-    if m.vertices[m.links[t, TAIL], SILHOUETTES] > 2:
+    silhouettes = m.vertices[m.links[t, TAIL], SILHOUETTES]
+    if silhouettes > 2 or (silhouettes > 0 and not is_silhouette(m.links, h)):
         hold_vertex(m.links, m.uv, m.quadric, q, t, scale)
     else:
         hold_end(m.links, m.quadric, q, m.links[next_of(h), WEDGE], m.links[t, WEDGE], u0, v0, u1, v1, scale)

@@ -14,16 +14,24 @@ from typing import Any
 import numpy as np
 
 from preprocess.decimate.deviation import (
+    CORNERS,
+    CORNERS_STRIDE,
     NONE,
+    departure_in_pose,
     find_face,
     gather,
     hand_over,
+    num_poses,
     place_apex,
+    posed_column_dot,
+    rotation_at,
     set_apex,
     square_departure,
     write_face,
 )
+from preprocess.decimate.deviation_samples import FIRST_POSE, POSE_STRIDE, SLIP_COLUMN, WEIGHT_COLUMN
 from preprocess.decimate.placement import draw_position, pose_position
+from preprocess.decimate.quadrics import SYSTEM_ROW, THREE, solve
 from preprocess.decimate.rules import (
     APEX_ROW,
     FIRST_WITNESS,
@@ -38,6 +46,7 @@ from preprocess.decimate.rules import (
     SIGN,
     SILHOUETTES,
     VERSION,
+    WEIGHTS_ROW,
     is_silhouette,
 )
 from preprocess.decimate.topology import TAIL, TWIN, WEDGE, next_of, previous_of
@@ -51,8 +60,10 @@ ONE, TWO = np.int64(1), np.int64(2)  # NumPy integers: see quadrics.py
 WORTH = 0.97
 # Shares of the way to a neighbour that a vertex tries, the first that helps.
 LONG_STEP, SHORT_STEP = 0.25, 0.1
-# Steps off the surface that it tries, as shares of the largest departure around it, the one that helps most.
-LONG_LIFT, SHORT_LIFT = 0.5, 0.15
+# Shares of the least squares' step off the surface that it tries, each half of the one before: for sixth powers a
+# fifth is Newton's (Rice and Usow 1968), and more often helps. Damping, of the system's trace.
+LONG_LIFT, SHORT_LIFT = 0.8, 0.2
+STEP_DAMPING = 1e-3
 LIFT_ROW = 2  # of Mesh.work
 # A turned edge may change the normals by less than a collapse may, and its faces must be as far again from degenerate.
 MIN_TURN_DOT, TURN_MARGIN = 0.5, 4.0
@@ -208,41 +219,84 @@ def _slide(m, v):
 
 
 @helper
-def _step_along(m, v, axis, step):
-    """Put the apex a step along an axis from a vertex."""
-    x, y, z = m.xyz[v, 0], m.xyz[v, 1], m.xyz[v, 2]
-    if axis == 0:
-        x += step
-    elif axis == 1:
-        y += step
-    else:
-        z += step
-    place_apex(m, v, v, x, y, z)
+def _accumulate_step(m, v, rows, count):
+    """Set up the least squares for a vertex's step off the surface; its star is in the fan.
+
+    A sample's departure in the pose where it is largest is linear in the step. Squares of it count with the fourth
+    power of what it is now: reweighted least squares for the sum of sixth powers (Lawson 1961).
+
+    Returns
+    -------
+    float
+        The sum of sixth powers now.
+    """
+    system, weights = m.work[SYSTEM_ROW:], m.work[WEIGHTS_ROW]
+    for i in range(3):
+        for j in range(4):
+            system[i, j] = 0.0
+    total, guess = 0.0, NONE
+    for j in range(count):
+        k = m.witnesses[j, GATHERED]
+        found = find_face(m, k, m.witnesses[j, ITS_CHART], rows, guess)
+        if found < 0:
+            continue
+        guess = found
+        row, point = m.fan[found], m.points[k]
+        largest, pose, slip = 0.0, 0, point[SLIP_COLUMN]
+        for q in range(num_poses(m)):
+            along, square = departure_in_pose(row, point, weights, q)
+            value = along * along + slip * (square - along * along)
+            if value > largest:
+                largest, pose = value, q
+        largest *= point[WEIGHT_COLUMN]
+        total += largest * largest * largest
+        o, p = CORNERS + CORNERS_STRIDE * pose, FIRST_POSE + POSE_STRIDE * pose
+        along, square = departure_in_pose(row, point, weights, pose)
+        importance = largest * largest * point[WEIGHT_COLUMN] * weights[0]
+        # The vertex's step turns with it: of a column of its rotation c, n·c along the normal, and c itself.
+        for i in range(3):
+            normal_i = posed_column_dot(m, v, pose, i, point, p + 3)
+            pull = (1.0 - slip) * normal_i * along
+            for axis in range(3):
+                away = weights[0] * row[o + axis] + weights[1] * row[o + 3 + axis] + weights[2] * row[o + 6 + axis]
+                pull += slip * rotation_at(m, v, pose, axis, i) * (away - point[p + axis])
+            system[i, 3] -= importance * pull
+            for n in range(i, 3):
+                normal_n = posed_column_dot(m, v, pose, n, point, p + 3)
+                value = (1.0 - slip) * normal_i * normal_n + (slip if n == i else 0.0)
+                system[i, n] += importance * weights[0] * value
+    return total
 
 
 @helper
 def _lift(m, v):
-    """Move a vertex off the position texture, its uvs unchanged, a step along the axis that helps most, if any does."""
+    """Move a vertex off the position texture, its uvs unchanged, by the least squares' step or a part of it."""
     count = _gather_star(m, v)
     set_apex(m, v)
     rows = _write_star(m, v, 0.0, 0.0)
     if rows == 0 or count == 0:
         return False
-    total = _sum_of_departures(m, rows, count, math.inf)
-    least, best, chosen, size = WORTH * total, 0.0, 0, LONG_LIFT * total ** (1.0 / 6.0)
-    for _ in range(2):
-        for way in range(6):
-            step = size if way < 3 else -size
-            _step_along(m, v, way % 3, step)
-            if _star_stays(m, v, 0.0, 0.0):
-                _write_star(m, v, 0.0, 0.0)
-                value = _sum_of_departures(m, rows, count, least)
-                if value < least:
-                    least, best, chosen = value, step, way % 3
-        size *= SHORT_LIFT / LONG_LIFT
+    total = _accumulate_step(m, v, rows, count)
+    system = m.work[SYSTEM_ROW:]
+    damping = STEP_DAMPING * (system[0, 0] + system[1, 1] + system[2, 2])
+    for i in range(3):
+        system[i, i] += damping
+    if not (total > 0.0 and solve(m.work, THREE)):
+        return False
+    dx, dy, dz = system[0, 3], system[1, 3], system[2, 3]
+    least, best = WORTH * total, 0.0
+    share = LONG_LIFT
+    while share >= SHORT_LIFT:
+        place_apex(m, v, v, m.xyz[v, 0] + share * dx, m.xyz[v, 1] + share * dy, m.xyz[v, 2] + share * dz)
+        if _star_stays(m, v, 0.0, 0.0):
+            _write_star(m, v, 0.0, 0.0)
+            value = _sum_of_departures(m, rows, count, least)
+            if value < least:
+                least, best = value, share
+        share *= 0.5
     if best == 0.0:
         return False
-    _step_along(m, v, chosen, best)
+    place_apex(m, v, v, m.xyz[v, 0] + best * dx, m.xyz[v, 1] + best * dy, m.xyz[v, 2] + best * dz)
     _write_star(m, v, 0.0, 0.0)
     _move(m, v, v, rows, count)
     return True

@@ -8,7 +8,8 @@
 | seam                  | none unifiable      | never (NO_FREE_END)                 | a corner would be cut       |
 | seam                  | one unifiable       | the other's uvs; xyz free           | the other end is a corner   |
 | seam                  | both unifiable      | t along both joint lines; xyz free  | p, a, b, q are on one line  |
-| seam, relaxed         | none unifiable      | one end's uvs; xyz free             | it is shorter than allowed  |
+| any, relaxed          | none unifiable, or  | one end's uvs; xyz free             | it is shorter than allowed  |
+|                       | both on silhouettes |                                     |                             |
 | boundary              | as on a seam        | the same, with one side             |                             |
 | to the virtual vertex |                     | never                               | it stands for a hole        |
 
@@ -17,7 +18,8 @@ boundaries, and the path a-b-q is one uniformly timed line: the point (b1, b2) o
 on the segment from (a1, a2) to (q1, q2). That one test is both of the paper's, collinearity and equal length ratios.
 It is kept with its error: each silhouette edge carries the largest uv distance by which the line that it replaces
 strays from it, and a collapse that would bring the sum over the tolerance is refused. At the exact levels the
-tolerance is rounding; at relaxed ones it is part of a texel.
+tolerance is rounding; at relaxed ones it is part of a texel. What is shorter than that may also pinch a chart, or close
+one up: its faces go, and its neighbours meet.
 """
 
 from __future__ import annotations
@@ -85,7 +87,7 @@ class Mesh(NamedTuple):
     work : (24, 10) float64
         Scratch: candidates in the first 8 rows, the small linear system in rows 8 to 12, a position quadric in row
         13, a point in row 14, weights in row 15, a vertex in each pose of the witnesses from row 16 on.
-    settings : (8,) float64
+    settings : (9,) float64
     counter : (8,) int64
         See the slots below.
     heap_cost : (3 F',) float64
@@ -119,7 +121,7 @@ class Mesh(NamedTuple):
 
 
 # Slots of Mesh.settings and Mesh.counter.
-UV_SCALE, SEAM_TOLERANCE, STRICT, MIN_NORMAL_DOT, MIN_UV_HEIGHT, MIN_SHAPE, PEAK, LIFT = 0, 1, 2, 3, 4, 5, 6, 7
+UV_SCALE, SEAM_TOLERANCE, STRICT, MIN_NORMAL_DOT, MIN_UV_HEIGHT, MIN_SHAPE, PEAK, LIFT, RELAXED = range(9)
 FACES_LEFT, STAMP, COLLAPSES, HEAP_SIZE, PRICED, VERSION = 0, 1, 2, 3, 4, 5
 
 
@@ -219,15 +221,17 @@ def removal_deviation(m, h):
 
 @helper
 def corner_deviation(m, h):
-    """Deviation of the silhouette edges at the corner b of a seam edge h = a -> b if b moves onto a."""
+    """Deviation of the silhouette edges at the corner b of an edge h = a -> b if b moves onto a."""
     t = m.links[h, TWIN]
     a0, a1 = m.links[h, WEDGE], m.links[next_of(t), WEDGE]
     b0, b1 = m.links[next_of(h), WEDGE], m.links[t, WEDGE]
-    if a0 < 0 or b1 < 0 or b0 == b1:
-        return math.inf  # a boundary, or the end of a cut
-    uv = m.uv
-    left = (uv[a0, 0] - uv[b0, 0]) ** 2 + (uv[a0, 1] - uv[b0, 1]) ** 2
-    right = (uv[a1, 0] - uv[b1, 0]) ** 2 + (uv[a1, 1] - uv[b1, 1]) ** 2
+    if b0 == b1 and a0 != a1:
+        return math.inf  # the end of a cut
+    uv, left, right = m.uv, 0.0, 0.0
+    if a0 >= 0:
+        left = (uv[a0, 0] - uv[b0, 0]) ** 2 + (uv[a0, 1] - uv[b0, 1]) ** 2
+    if a1 >= 0:
+        right = (uv[a1, 0] - uv[b1, 0]) ** 2 + (uv[a1, 1] - uv[b1, 1]) ** 2
     before = m.deviation[h]
     g = m.links[previous_of(t), TWIN]
     while g != t:
@@ -253,6 +257,10 @@ def orient(m, h):
         return VIRTUAL, h, 0
     if not is_silhouette(m.links, h):
         if m.vertices[a, SILHOUETTES] > 0 and m.vertices[b, SILHOUETTES] > 0:
+            if m.settings[RELAXED] > 0.0:
+                drop_b, drop_a = corner_deviation(m, h), corner_deviation(m, t)
+                if min(drop_a, drop_b) <= m.settings[SEAM_TOLERANCE]:
+                    return ALLOWED, h if drop_b <= drop_a else t, 1
             return TWO_SILHOUETTES, h, 0
         if m.vertices[b, SILHOUETTES] > 0:
             return ALLOWED, t, 1
@@ -267,6 +275,6 @@ def orient(m, h):
     if drop_a <= tolerance:
         return ALLOWED, t, 1
     drop_b, drop_a = corner_deviation(m, h), corner_deviation(m, t)
-    if min(drop_a, drop_b) <= tolerance:
+    if m.settings[RELAXED] > 0.0 and min(drop_a, drop_b) <= tolerance:
         return ALLOWED, h if drop_b <= drop_a else t, 1
     return NO_FREE_END, h, 0

@@ -57,7 +57,8 @@ def written_tolerance_uv(uvs: Floats) -> float:
 def _uv_areas(surface: TexturedSurface, uvs: Floats) -> Floats:
     """Twice the signed area of every uv triangle, (F,)."""
     first, second = np.diff(uvs[surface.face_uvs], axis=1).transpose(1, 0, 2)
-    return first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    result: Floats = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    return result
 
 
 def straighten_within(half_edges: HalfEdges, positions: Floats, uvs: Floats, tolerance_uv: float) -> Floats:

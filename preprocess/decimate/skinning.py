@@ -35,7 +35,8 @@ class Skinning:
         if not len(self.matrices):
             return np.zeros((0, len(uvs), 3, 4))
         faces, weights = locate_uvs(self.tree, uvs)
-        return np.einsum("nk,pnkij->pnij", weights, self.matrices[:, self.corners[faces]])
+        result: Floats = np.einsum("nk,pnkij->pnij", weights, self.matrices[:, self.corners[faces]])
+        return result
 
 
 def make_skinning(matrices: Floats, corners: NDArray[np.integer], corner_uvs: Floats) -> Skinning:

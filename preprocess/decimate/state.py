@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,8 +45,8 @@ MIN_SHAPE = 1e-3
 BOUNDARY_WEIGHT = 1.0
 # Faces around one collapse that are looked at for their witnesses; more leave them unheard.
 FAN_SIZE = 256
-# Times every edge and vertex is tried when a level is polished; after each of so many rounds poses are taken anew.
-POLISH_SWEEPS, POLISH_ROUNDS = 2, 2
+# Times every edge and vertex is tried when a level is polished.
+POLISH_SWEEPS = 2
 
 _STRICT = {
     Strictness.NONE: rules.STRICT_NONE,
@@ -72,7 +71,8 @@ def _pose_quadrics(posed: Floats, faces: NDArray[np.int64]) -> Floats:
 def _posed(matrices: Floats, xyz: Floats, centre: Floats, scale: float) -> Floats:
     """Normalised positions in each pose, (P, V, 3)."""
     metres = np.einsum("pvij,vj->pvi", matrices[..., :3], xyz * scale + centre) + matrices[..., 3]
-    return (metres - centre) / scale
+    result: Floats = (metres - centre) / scale
+    return result
 
 
 def _pose(
@@ -101,6 +101,10 @@ def _seam_tolerance_uv(uvs: Floats, options: DecimateOptions) -> float:
     if options.strict is Strictness.NONE:
         return 0.0
     return written_tolerance_uv(uvs) if options.seam_tolerance_uv is None else options.seam_tolerance_uv
+
+
+# Arrays of a mesh that no kernel writes to: copies of a state share them.
+SHARED_ARRAYS = {"texture", "points"}
 
 
 @dataclass(frozen=True)
@@ -146,10 +150,22 @@ class Engine:
         """Collapse until that many faces are left, the next collapse costs more, or none is legal."""
         run(self.mesh, target_faces, max_cost, np.zeros(0, np.int64))
 
+    def run_within(self, error_m: float) -> None:
+        """Collapse as long as the next costs no more than an average star of faces that deviates by an error.
+
+        A collapse that brings a sample further off than that costs more (`rules.PEAK`).
+        """
+        square = (error_m / self.scale_m) ** 2
+        before = self.num_faces + 1
+        while self.num_faces < before:
+            before = self.num_faces
+            self.run_to(1, float(self.mesh.settings[rules.PEAK]) / before * square)
+
     def copy(self) -> Engine:
         """The same state, to go on from twice."""
-        arrays: list[Any] = [array.copy() for array in self.mesh]
-        return replace(self, mesh=Mesh(*arrays))
+        arrays = self.mesh._asdict()
+        changing = {name: array.copy() for name, array in arrays.items() if name not in SHARED_ARRAYS}
+        return replace(self, mesh=self.mesh._replace(**changing))
 
     def predict_floor(self) -> int:
         """Lower bound of the faces that exact collapses leave; only before the first collapse."""
@@ -159,15 +175,15 @@ class Engine:
     def relax(self, tolerance_uv: float) -> None:
         """Let seams stray that far from their lines from now on, and look at every edge again."""
         self.mesh.settings[rules.SEAM_TOLERANCE] = tolerance_uv
+        self.mesh.settings[rules.RELAXED] = 1.0
         self._forget_prices()
 
-    def polish(self, rounds: int = POLISH_ROUNDS) -> None:
+    def polish(self) -> None:
         """Turn edges and move vertices to where the surface is nearer to the full mesh; seams stay where they are."""
         if not self.mesh.settings[rules.PEAK] > 0.0:
             return  # nobody to say what is better
-        for _ in range(rounds):
-            self._pose_again()
-            polish(self.mesh, POLISH_SWEEPS, np.zeros(3, np.int64))
+        self._pose_again()
+        polish(self.mesh, POLISH_SWEEPS, np.zeros(3, np.int64))
         self._forget_prices()
 
     def weigh_witnesses(self, weights: Floats) -> None:
@@ -205,10 +221,8 @@ class Engine:
         mesh.counter[rules.HEAP_SIZE] = 0
         mesh.counter[rules.PRICED] = 0
 
-    def drop_parts(self, size_m: float, target_faces: int) -> tuple[int, float]:
-        """Remove whole parts, the smallest first, until the target is met; call `relax` after.
-
-        Only parts whose bounding box has a diagonal of at most `size_m` go, and never the largest.
+    def drop_parts(self, size_m: float) -> tuple[int, float]:
+        """Remove whole parts whose bounding box has a diagonal of at most `size_m`, but never the largest.
 
         Returns
         -------
@@ -232,9 +246,6 @@ class Engine:
         sizes = np.zeros(num_parts)
         sizes[parts] = np.linalg.norm(high[parts] - low[parts], axis=1) * self.scale_m
         candidates = parts[(sizes[parts] <= size_m) & (parts != sizes.argmax())]
-        candidates = candidates[np.argsort(sizes[candidates], kind="stable")]
-        faces_after = self.num_faces - np.cumsum(np.bincount(part[faces[:, 0]], minlength=num_parts)[candidates])
-        candidates = candidates[: int(np.searchsorted(-faces_after, -target_faces)) + 1]
         small = np.zeros(num_parts, bool)
         small[candidates] = True
         gone = np.append(small[part], False)[mesh.links[:, TAIL]] & (mesh.links[:, TAIL] >= 0)
@@ -242,6 +253,7 @@ class Engine:
         mesh.links[gone, TAIL] = -1
         mesh.links[gone, TWIN] = -1
         mesh.counter[rules.FACES_LEFT] -= int(gone[: 3 * num_faces].sum()) // 3
+        self._forget_prices()
         return len(candidates), float(sizes[candidates].max(initial=0.0))
 
     @property
@@ -331,7 +343,7 @@ def make_engine(
     metres_per_uv = float(np.sqrt(area2 / uv_total)) if uv_total > 0 and area2 > 0 else 1.0
     extent_uv = float(np.ptp(uv, axis=0).max()) or 1.0
 
-    settings = np.zeros(8)
+    settings = np.zeros(9)
     settings[rules.UV_SCALE] = max(options.uv_weight_rel, 1e-6) * metres_per_uv
     settings[rules.SEAM_TOLERANCE] = ROUNDING_UV * max(extent_uv, 1.0)
     settings[rules.STRICT] = _STRICT[options.strict]

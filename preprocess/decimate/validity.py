@@ -10,14 +10,14 @@ from preprocess.numerics.jit import fixed_memory_helper as helper
 
 
 @helper
-def link_holds(links, vertices, counter, h):
+def link_holds(links, vertices, counter, relaxed, h):
     """Link condition of an edge on the surface mesh and on the parameter mesh (Dey et al. 1999).
 
     The ends may share no neighbours but the two that face the edge, and may not both have three neighbours (a
     tetrahedron). The virtual vertex at infinity counts as a neighbour, so the same test holds at boundaries. The
     neighbours of a wedge lie over neighbours of its vertex, so the surface's condition implies the parameter mesh's
     but for what lies at its own infinity: a face whose other two edges are both silhouettes is a chart, or an end of
-    one, that may not be closed up.
+    one, that may not be closed up: not where seams are relaxed.
     """
     t = links[h, TWIN]
     counter[STAMP] += 1
@@ -40,6 +40,8 @@ def link_holds(links, vertices, counter, h):
             break
     if common != 2 or (valence_a == 3 and valence_b == 3):
         return False
+    if relaxed > 0.0:
+        return True
     left = links[h, WEDGE] >= 0 and is_silhouette(links, next_of(h)) and is_silhouette(links, previous_of(h))
     right = links[t, WEDGE] >= 0 and is_silhouette(links, next_of(t)) and is_silhouette(links, previous_of(t))
     return not (left or right)

@@ -128,7 +128,8 @@ def inward_normals(surface: TexturedSurface, seams: Seams, width: int, height: i
     normal = np.stack([-along[..., 1], along[..., 0]], axis=-1)
     side = np.sign(np.einsum("skd,skd->sk", normal, points[opposite] - origin))
     length = np.linalg.norm(normal, axis=2)
-    return normal * (side / np.where(length > 0, length, 1.0))[:, :, None]
+    result: Floats = normal * (side / np.where(length > 0, length, 1.0))[:, :, None]
+    return result
 
 
 def slope_elements(intervals: Intervals, lengths_m: Floats, normals: Floats) -> Floats:

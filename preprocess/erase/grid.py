@@ -174,7 +174,9 @@ def _find_fine_parts(
     return texels[used], texel_mass[used], renumber[np.concatenate(edges)], np.concatenate(masses)
 
 
-def _find_hanging(nodes: NDArray[np.int64], squares: NDArray[np.int64], sides: NDArray[np.int64], width: int):
+def _find_hanging(
+    nodes: NDArray[np.int64], squares: NDArray[np.int64], sides: NDArray[np.int64], width: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Nodes in the middle of a square's side and that side's two ends: (M,), (M, 2) node numbers."""
     big = sides > 1
     corner = squares[big]

@@ -36,7 +36,8 @@ def _square_elements(sides: NDArray[np.int64], mass: float, stiffness: float) ->
     k = np.stack([1 / h, -1 / h, -1 / h, 1 / h], axis=1).reshape(-1, 2, 2)
 
     def product(rows: Floats, columns: Floats) -> Floats:
-        return np.einsum("qij,qkl->qikjl", rows, columns).reshape(-1, 4, 4)
+        result: Floats = np.einsum("qij,qkl->qikjl", rows, columns).reshape(-1, 4, 4)
+        return result
 
     return mass * product(m, m) + stiffness * (product(k, m) + product(m, k))
 

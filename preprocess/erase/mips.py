@@ -114,7 +114,8 @@ def shrink(texels: NDArray[Any], used: NDArray[np.bool_], width: int, height: in
     def average(image: NDArray[Any]) -> NDArray[Any]:
         rows = (down @ image.reshape(old_height, -1)).reshape(height, old_width, -1)
         turned = np.ascontiguousarray(rows.transpose(1, 0, 2)).reshape(old_width, -1)
-        return (across @ turned).reshape(width, height, -1).transpose(1, 0, 2)
+        result: NDArray[Any] = (across @ turned).reshape(width, height, -1).transpose(1, 0, 2)
+        return result
 
     share = average(used[:, :, None].astype(texels.dtype))
     masked = average(texels * used[:, :, None])

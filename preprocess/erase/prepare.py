@@ -35,7 +35,8 @@ PENALTY = 1e13
 def _silhouette_lengths(surface: TexturedSurface, seams: Seams) -> Floats:
     """3D lengths of the silhouette's edges, in the order of `silhouette_lines`."""
     points = surface.positions[surface_vertices(surface)[silhouette_ends(seams)]]
-    return np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
+    result: Floats = np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
+    return result
 
 
 def _on_unknowns(rows: sparse.csr_array, grid: Grid) -> sparse.csr_array:

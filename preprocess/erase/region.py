@@ -58,12 +58,14 @@ class Region:
     @property
     def width(self) -> int:
         """Columns of the image."""
-        return self.inside.shape[1]
+        result: int = self.inside.shape[1]
+        return result
 
     @property
     def height(self) -> int:
         """Rows of the image."""
-        return self.inside.shape[0]
+        result: int = self.inside.shape[0]
+        return result
 
 
 def _find_spans(triangles_px: Floats, slack: float) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
@@ -153,7 +155,8 @@ def _border_cells(inside: NDArray[np.bool_], repeat: bool) -> NDArray[np.int64]:
     y, x = np.divmod(np.flatnonzero(near), width)
     if not repeat:
         x, y = np.minimum(x, max(width - 2, 0)), np.minimum(y, max(height - 2, 0))
-    return y * width + x
+    result: NDArray[np.int64] = y * width + x
+    return result
 
 
 def find_region(

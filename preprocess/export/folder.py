@@ -19,7 +19,7 @@ from preprocess.export.lod_vertices import LodMesh
 from preprocess.export.tangent_normals import atlas_tangents, bake_tangent_normals, has_relief
 from preprocess.files.images import Image, write_image
 from preprocess.files.output_folder import MANIFEST, describe_contents
-from preprocess.fit.textures import StoredTexture
+from preprocess.fit.stored_texture import StoredTexture
 from preprocess.load import Character
 from preprocess.mesh.surface import SkinnedMesh
 from preprocess.settings import Settings

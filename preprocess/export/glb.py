@@ -21,10 +21,10 @@ from preprocess.export.lod_vertices import LodMesh, build_lod_mesh
 from preprocess.export.materials import describe_textures, plan_draws, uv_set
 from preprocess.load.character import Character
 from preprocess.mesh.surface import SkinnedMesh
-from preprocess.mesh.texels import UV_STEPS
 from runtime.animation.clip import WEIGHTS, Clip, Track
 from runtime.animation.keyframes import evaluate, stack_tracks
 from runtime.animation.skeleton import Skeleton
+from runtime.asset.lod_mesh import UV_STEPS
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2

@@ -17,7 +17,7 @@ from preprocess.fit.corner_locations import Places, locate_corners
 from preprocess.mesh.face_geometry import face_normals
 from preprocess.mesh.grouping import expand_ranges, group_rows
 from preprocess.mesh.surface import SkinnedMesh, TexturedSurface
-from preprocess.mesh.texels import UV_STEPS
+from runtime.asset.lod_mesh import UV_STEPS
 
 SAME_TANGENT = 2e-2  # tangents likewise: a degree, of a direction in the surface
 SAME_NORMAL = 1e-3  # normals of one point that differ less, a component, are one vertex

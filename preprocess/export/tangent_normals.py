@@ -19,7 +19,7 @@ from preprocess.load.character import Material
 from preprocess.load.tangents import compute_tangents
 from preprocess.mesh.raster import fill_outside, interpolate_corners, rasterise
 from preprocess.mesh.surface import SkinnedMesh
-from preprocess.mesh.texels import UV_STEPS
+from runtime.asset.lod_mesh import UV_STEPS
 
 LEAST_UP = 0.05  # of a stored normal along the vertex normal: an engine lights nothing from below the surface
 
@@ -36,7 +36,8 @@ def atlas_tangents(mesh: SkinnedMesh) -> Floats:
 
 
 def _unit(vectors: Floats) -> Floats:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
+    result: Floats = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
+    return result
 
 
 def to_frame(directions: Floats, normals: Floats, tangents: Floats) -> Floats:

@@ -15,7 +15,7 @@ from preprocess.files.quiet import quiet_libraries
 from runtime.errors import AssetError
 from runtime.gltf.limits import LIMITS, Limits
 from runtime.gltf.local_files import read_regular
-from runtime.gltf.png_check import find_png_fault
+from runtime.gltf.png_check import find_png_fault, first_line
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def _decode_file(source: Path, what: str, native: bool, most_texels: int) -> Ima
     config.attribute("oiio:UnassociatedAlpha", 1)
     reader = oiio.ImageInput.open(str(source), config)
     if reader is None:
-        message = _reason(oiio.geterror(), source)
+        message = _reason(first_line(oiio.geterror, ""), source)
         raise InputError(f"{what} does not decode ({message}): save it as PNG, JPEG, TIFF or EXR")
     try:
         spec = reader.spec()
@@ -131,7 +131,7 @@ def _decode_file(source: Path, what: str, native: bool, most_texels: int) -> Ima
         kept = native and stored in ("uint8", "uint16")
         texels = reader.read_image(0, 0, 0, spec.nchannels, stored if kept else "float")
         if texels is None:
-            raise InputError(f"{what} does not decode ({reader.geterror().splitlines()[0]}): it is damaged")
+            raise InputError(f"{what} does not decode ({first_line(reader.geterror, 'no texels')}): it is damaged")
     finally:
         reader.close()
     fmt = {"uint8": "uint8", "uint16": "uint16", "half": "half", "float": "float", "double": "float"}.get(stored)

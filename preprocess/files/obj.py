@@ -89,7 +89,8 @@ def _read_vectors(records: _Records, size: int, least: int, path: Path, keyword:
     first = np.r_[0, np.cumsum(records.tokens_per_line)][:-1]
     columns = np.arange(size)
     there = columns < records.tokens_per_line[:, None]
-    return values[np.where(there, first[:, None] + columns, -1)]
+    result: Floats = values[np.where(there, first[:, None] + columns, -1)]
+    return result
 
 
 def _check_range(

@@ -13,10 +13,12 @@ from preprocess.arrays import Floats
 def srgb_to_linear(values: NDArray[np.floating[Any]]) -> Floats:
     """Linear light from sRGB values, any shape."""
     size = np.abs(np.asarray(values, np.float64))
-    return np.sign(values) * np.where(size <= 0.04045, size / 12.92, ((size + 0.055) / 1.055) ** 2.4)
+    result: Floats = np.sign(values) * np.where(size <= 0.04045, size / 12.92, ((size + 0.055) / 1.055) ** 2.4)
+    return result
 
 
 def linear_to_srgb(light: NDArray[np.floating[Any]]) -> Floats:
     """Inverse of `srgb_to_linear`."""
     size = np.abs(np.asarray(light, np.float64))
-    return np.sign(light) * np.where(size <= 0.0031308, size * 12.92, 1.055 * size ** (1 / 2.4) - 0.055)
+    result: Floats = np.sign(light) * np.where(size <= 0.0031308, size * 12.92, 1.055 * size ** (1 / 2.4) - 0.055)
+    return result

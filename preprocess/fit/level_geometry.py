@@ -183,7 +183,8 @@ def _detail(
 def _as_integers(texture: StoredTexture) -> NDArray[Any]:
     """The stored numbers of an integer texture."""
     kind = np.uint8 if texture.format == "uint8" else np.uint16
-    return np.rint(texture.levels[0] * np.iinfo(kind).max).astype(kind)
+    result: NDArray[Any] = np.rint(texture.levels[0] * np.iinfo(kind).max).astype(kind)
+    return result
 
 
 def _measured(

@@ -1,11 +1,11 @@
 """The position texture: fitted to the vertices of the full mesh and along its seams, as small as is good enough.
 
-Geometry is fetched at canonical uvs (method, section 6), so nothing cracks whatever the texture does at seams, and it
-need not be closed exactly. Points along both sides of every seam take part in the fit with a smaller weight, so that
-subdivided surfaces run on smoothly there. One fit is a direct solution with as many unknowns as points, hundredths of a
-second, so sizes are simply tried, each judged as it will be stored: within the surface's box, at the vertices, between
-them and along the seams. A few vertices may miss, where more of them meet in a cell than it has texels: those are given
-spare texels (spare_texels.py).
+Geometry is fetched at canonical uvs (docs/method.md, section 6), so nothing cracks whatever the texture does at
+seams, and it need not be closed exactly. Points along both sides of every seam take part in the fit with a smaller
+weight, so that subdivided surfaces run on smoothly there. One fit is a direct solution with as many unknowns as
+points, hundredths of a second, so sizes are simply tried, each judged as it will be stored: within the surface's box,
+at the vertices, between them and along the seams. A few vertices may miss, where more of them meet in a cell than it
+has texels: those are given spare texels (spare_texels.py).
 """
 
 from __future__ import annotations

@@ -261,7 +261,8 @@ class TextureStage:
         after = self.mesh.surface.faces[faces, (corner + 1) % 3] == self.seams.vertices[:, 1]
         half_edge = np.where(after, corner, (corner + 2) % 3)  # of corner c to c + 1
         materials = self.mesh.face_materials[self.seams.faces]
-        return self.atlas.made_seams[faces, half_edge] & (materials[:, 0] == materials[:, 1])
+        result: NDArray[np.bool_] = self.atlas.made_seams[faces, half_edge] & (materials[:, 0] == materials[:, 1])
+        return result
 
     def _store_all(self, jobs: list[_Job]) -> list[StoredTexture]:
         """Store textures that share the bands beside their seams."""

@@ -148,7 +148,8 @@ def _quarters(corners: Floats) -> Floats:
     blends = np.array([_shares(np.array([(x, y)]) / 2.0)[0] for y in range(3) for x in range(3)])
     grid = np.einsum("gk,skj->sgj", blends, corners)
     of_quarter = np.array([[3 * (y + b) + x + a for b in (0, 1) for a in (0, 1)] for y in (0, 1) for x in (0, 1)])
-    return grid[:, of_quarter].reshape(-1, 4, corners.shape[2])
+    result: Floats = grid[:, of_quarter].reshape(-1, 4, corners.shape[2])
+    return result
 
 
 def _on_both_sides(points: WeightPoints, size: tuple[int, int]) -> WeightPoints:

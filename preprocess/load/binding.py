@@ -122,7 +122,7 @@ def place_skin(
     by_mass = np.argsort(-masses, kind="stable")
     for j in by_mass:
         if masses[j] > 0 and nodes[j] in known:
-            placement = known[nodes[j]] @ inverse[j]
+            placement: Floats = known[nodes[j]] @ inverse[j]
             if is_invertible(placement):
                 return placement
     candidates = [matrix for matrix in canonical if is_invertible(matrix)]
@@ -159,7 +159,7 @@ def place_rigid(node: int, parents: NDArray[np.int64], rest: Floats, known: dict
     ancestor = node
     while ancestor >= 0:
         if ancestor in known and is_invertible(rest[ancestor]):
-            placement = known[ancestor] @ np.linalg.inv(rest[ancestor]) @ rest[node]
+            placement: Floats = known[ancestor] @ np.linalg.inv(rest[ancestor]) @ rest[node]
             if is_invertible(placement):
                 return placement
         ancestor = int(parents[ancestor])

@@ -105,7 +105,8 @@ def _angles_around(half: _HalfEdges, faces: Indices, positions: Floats, candidat
     third = np.cross(axis, across)
     tip = faces[half.face[candidates]].sum(axis=1) - low - high
     arm = positions[tip] - positions[low]
-    return np.arctan2(np.einsum("ij,ij->i", arm, third), np.einsum("ij,ij->i", arm, across))
+    result: Floats = np.arctan2(np.einsum("ij,ij->i", arm, third), np.einsum("ij,ij->i", arm, across))
+    return result
 
 
 def _pair_by_angle(mate: Indices, half: _HalfEdges, faces: Indices, positions: Floats, open_halves: Indices) -> None:
@@ -228,7 +229,8 @@ def _bad_edges(faces: Indices) -> Bools:
     half = _HalfEdges(faces)
     balance = np.bincount(half.edge, np.where(half.forward, 1.0, -1.0))
     bad = (half.edge_faces > 2) | ((half.edge_faces == 2) & (balance != 0))
-    return bad[half.edge]
+    result: Bools = bad[half.edge]
+    return result
 
 
 def make_manifold(

@@ -119,7 +119,7 @@ def _read_faces(
 def _unit(vectors: Floats) -> Floats:
     """Unit vectors; NaN where the length is zero or not finite."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        units = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+        units: Floats = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
     units[~np.isfinite(units).all(axis=1)] = np.nan
     return units
 

@@ -152,8 +152,8 @@ def corner_tangents(mesh: SkinnedMesh, faces: NDArray[np.integer], uvs: Floats) 
     -------
     (G, 3, 4) float64
     """
-    own = None if mesh.corner_tangents is None else mesh.corner_tangents[faces]
+    own: Floats | None = None if mesh.corner_tangents is None else mesh.corner_tangents[faces]
     if own is not None and np.isfinite(own).all():
         return own
     made = compute_tangents(mesh.surface.positions, mesh.surface.faces[faces], mesh.corner_normals[faces], uvs)
-    return made if own is None else np.where(np.isfinite(own).all(axis=2)[..., None], own, made)
+    return made if own is None else np.where(np.isfinite(own).all(axis=2, keepdims=True), own, made)

@@ -180,7 +180,8 @@ def faces_with_area(positions: Floats, faces: Indices, diagonal_m: float) -> NDA
     sides = np.roll(corners, -1, axis=1) - corners
     doubled_area = 2.0 * face_areas(corners)
     longest = np.linalg.norm(sides, axis=2).max(axis=1, initial=0.0)
-    return distinct & (doubled_area > FLAT_REL * diagonal_m * longest)
+    result: NDArray[np.bool_] = distinct & (doubled_area > FLAT_REL * diagonal_m * longest)
+    return result
 
 
 @dataclass(frozen=True)

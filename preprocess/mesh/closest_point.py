@@ -15,18 +15,21 @@ MORTON_BITS = 20
 
 
 @njit(cache=True, error_model="numpy")
-def _query(points, corners, low, high, num_leaves, squares, faces, weights):
+def _query(points, corners, low, high, num_leaves, guesses, enough_sq, squares, faces, weights):
     """For each point the nearest triangle, the squared distance and the barycentric weights of the nearest point.
 
     `corners` (F, 9) in leaf order; `low`, `high` (2 L, 3) boxes of the tree's nodes, the root first, node n's children
-    2 n and 2 n + 1; leaf i holds triangles LEAF_SIZE i and after. The last point's triangle is tried first, since
-    neighbouring points are near each other.
+    2 n and 2 n + 1; leaf i holds triangles LEAF_SIZE i and after. The point's guess (N,) is tried first, and is all
+    that is where it is near enough; without guesses it is the last point's triangle, since neighbouring points are near
+    each other.
     """
     stack = np.empty(64, np.int64)
     p, w = np.empty(3), np.empty(3)
     guess = 0
     for i in range(len(points)):
         best, nearest = np.inf, -1
+        if len(guesses) > 0:
+            guess = guesses[i]
         top, node, f, last = 0, 0, guess, guess + 1
         while True:
             # Triangles of a leaf (or the guess, the first time round).
@@ -69,6 +72,8 @@ def _query(points, corners, low, high, num_leaves, squares, faces, weights):
                     w[0], w[1], w[2] = 1.0 - s - t, s, t
                 f += 1
             if node == 0:
+                if len(guesses) > 0 and best <= enough_sq[i]:
+                    break
                 node = 1
             elif top > 0:
                 top -= 1
@@ -136,13 +141,19 @@ class NearestTree:
     low: Floats
     high: Floats
 
-    def query(self, points: Floats) -> tuple[Floats, NDArray[np.int64], Floats]:
+    def query(
+        self, points: Floats, guesses: NDArray[np.int64] | None = None, enough: Floats | None = None
+    ) -> tuple[Floats, NDArray[np.int64], Floats]:
         """Nearest point of the mesh to each point.
 
         Parameters
         ----------
         points : (N, 3) float64
             Quickest where neighbours in the array are near each other.
+        guesses : (N,) int64 or None
+            Faces that are likely to be the nearest.
+        enough : (N,) float64 or None
+            Where the guess is no further than this, it is taken for the nearest; negative for never.
 
         Returns
         -------
@@ -158,6 +169,8 @@ class NearestTree:
             self.low,
             self.high,
             len(self.low) // 2,
+            np.zeros(0, np.int64) if guesses is None else np.argsort(self.order, kind="stable")[guesses],
+            np.full(count, -1.0) if enough is None else enough * np.abs(enough),
             squares,
             faces,
             weights,

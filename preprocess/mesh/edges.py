@@ -48,7 +48,8 @@ class EdgeGroups:
     def real(self) -> Bools:
         """Edges that join two different vertices, (E,) bool."""
         halves = self.order[self.first]
-        return self.start[halves] != self.end[halves]
+        result: Bools = self.start[halves] != self.end[halves]
+        return result
 
     def pairs(self, chosen: Bools) -> tuple[Indices, Indices]:
         """The first and the second half-edge of chosen edges (E,), which must have two or more."""
@@ -77,7 +78,8 @@ def group_half_edges(faces: NDArray[np.integer]) -> EdgeGroups:
 
 def next_corners(half_edges: NDArray[np.integer]) -> NDArray[np.integer]:
     """The corner that follows each in its face: the end of a half-edge that starts at a corner."""
-    return half_edges - half_edges % 3 + (half_edges + 1) % 3
+    result: NDArray[np.integer] = half_edges - half_edges % 3 + (half_edges + 1) % 3
+    return result
 
 
 @dataclass(frozen=True)
@@ -175,7 +177,8 @@ def cut_edges(edges: MeshEdges, face_uvs: Ints) -> Bools:
     flat = face_uvs.reshape(-1)
     left, right = edges.halves[:, 0], edges.halves[:, 1]
     same = (flat[left] == flat[next_corners(right)]) & (flat[next_corners(left)] == flat[right])
-    return ~(edges.glued & same)
+    result: Bools = ~(edges.glued & same)
+    return result
 
 
 def pair_inside_charts(surface: TexturedSurface) -> Indices:

@@ -28,13 +28,15 @@ def face_areas(triangles: Floats) -> Floats:
     """Areas of triangles in space or in the plane, (F,), not negative."""
     if triangles.shape[-1] == 2:
         return 0.5 * np.abs(doubled_signed_areas(triangles))
-    return 0.5 * np.linalg.norm(doubled_area_vectors(triangles), axis=1)
+    result: Floats = 0.5 * np.linalg.norm(doubled_area_vectors(triangles), axis=1)
+    return result
 
 
 def unit_vectors(vectors: Floats) -> Floats:
     """Vectors of length one, (..., 3); zero stays zero."""
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
+    result: Floats = np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
+    return result
 
 
 def face_normals(triangles: Floats) -> Floats:
@@ -54,4 +56,5 @@ def corner_angles(triangles: Floats) -> Floats:
     ahead = np.roll(triangles, -1, axis=1) - triangles
     back = np.roll(triangles, 1, axis=1) - triangles
     sine = np.linalg.norm(np.cross(ahead, back), axis=2)
-    return np.arctan2(sine, np.einsum("fkc,fkc->fk", ahead, back)) * (sine > 0)
+    result: Floats = np.arctan2(sine, np.einsum("fkc,fkc->fk", ahead, back)) * (sine > 0)
+    return result

@@ -166,4 +166,5 @@ def fill_outside(values: Floats, known: NDArray[np.bool_]) -> Floats:
     from scipy import ndimage
 
     rows, columns = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    return values[rows, columns]
+    result: Floats = values[rows, columns]
+    return result

@@ -160,7 +160,8 @@ def _find_foldovers(
         opposite = corners.sum(axis=1) - uv_start[half] - uv_end[half]
         d = surface.uvs[tip] - surface.uvs[origin]
         e = surface.uvs[opposite] - surface.uvs[origin]
-        return d[:, 0] * e[:, 1] - d[:, 1] * e[:, 0]
+        result: Floats = d[:, 0] * e[:, 1] - d[:, 1] * e[:, 0]
+        return result
 
     origin, tip = uv_start[left], uv_end[left]
     folded = side(left, origin, tip) * side(right, origin, tip) > 0

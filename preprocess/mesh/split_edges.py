@@ -105,7 +105,8 @@ def split_edges(surface: TexturedSurface, edges: NDArray[np.integer]) -> EdgeSpl
 def _edge_keys(ends: NDArray[np.integer], num_vertices: int) -> NDArray[np.int64]:
     """One number an undirected edge, from (..., 2) vertices."""
     ends = ends.astype(np.int64)
-    return ends.min(axis=-1) * max(num_vertices, 1) + ends.max(axis=-1)
+    result: NDArray[np.int64] = ends.min(axis=-1) * max(num_vertices, 1) + ends.max(axis=-1)
+    return result
 
 
 def _sub_faces(cut: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

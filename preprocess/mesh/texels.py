@@ -76,7 +76,8 @@ def sample_bilinear(image: FloatArray, uvs: FloatArray) -> NDArray[np.float64]:
     height, width, channels = image.shape
     texels, weights = bilinear_stencil(uvs, width, height)
     flat = np.asarray(image, np.float64).reshape(-1, channels)
-    return np.einsum("nk,nkc->nc", weights, flat[texels])
+    result: NDArray[np.float64] = np.einsum("nk,nkc->nc", weights, flat[texels])
+    return result
 
 
 def snap_canonical_uvs(uvs: FloatArray) -> NDArray[np.float64]:

@@ -99,7 +99,7 @@ def _find_regular_vertices(uv_ids: Indices, first: Indices, incident: Indices) -
 
     `first` and `incident` list, a vertex, the ends of silhouette edges there: end h is end h % 2 of edge h // 2.
     """
-    regular = np.diff(first) == 2
+    regular: Bools = np.diff(first) == 2
     at = np.flatnonzero(regular)
     h, g = incident[first[at]], incident[first[at] + 1]
     mine, other = uv_ids[h // 2, :, h % 2], uv_ids[g // 2, :, g % 2]

@@ -103,7 +103,8 @@ def shape_distortions(surface: TexturedSurface, uvs: Floats, rest: RestShapes) -
     """|J|² / (2 |det J|) of every face against its rest shape, (F,) float64; 1 where angles are kept."""
     jacobian = _edge_matrices(uvs, surface.face_uvs) @ rest.inverse
     square = (jacobian**2).sum(axis=(1, 2))
-    return square / np.maximum(2.0 * np.abs(_det(jacobian)), 1e-100 * np.maximum(square, 1e-100))
+    result: Floats = square / np.maximum(2.0 * np.abs(_det(jacobian)), 1e-100 * np.maximum(square, 1e-100))
+    return result
 
 
 @entry

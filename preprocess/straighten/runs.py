@@ -28,7 +28,8 @@ def first_points_of_edges(chains: Chains) -> NDArray[np.int64]:
 def edge_lengths_m(chains: Chains, positions: Floats) -> Floats:
     """Lengths of the silhouette edges in space, in the order of the points, (E,) float64 metres."""
     first = first_points_of_edges(chains)
-    return np.linalg.norm(positions[chains.vertices[first + 1]] - positions[chains.vertices[first]], axis=1)
+    result: Floats = np.linalg.norm(positions[chains.vertices[first + 1]] - positions[chains.vertices[first]], axis=1)
+    return result
 
 
 def find_edges_in_long_runs(chains: Chains, kept: Bools) -> Bools:
@@ -200,7 +201,8 @@ def find_edges_on_one_run(surface: TexturedSurface, chains: Chains, kept: Bools,
         count = high - low
         edge = np.repeat(np.arange(len(column)), count)
         slot = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(low, count)
-        return edge * (2 * len(kept)) + run_sides[slot]
+        result: NDArray[np.int64] = edge * (2 * len(kept)) + run_sides[slot]
+        return result
 
     common = np.intersect1d(pairs(uv_ends[:, 0]), pairs(uv_ends[:, 1]))
     return ends[np.unique(common // (2 * len(kept)))]

@@ -172,7 +172,8 @@ def chain_extents_uv(chains: Chains, joint: Floats) -> Floats:
         return np.zeros(0)
     starts = chains.offsets[:-1].astype(np.int64)
     box = np.maximum.reduceat(joint, starts) - np.minimum.reduceat(joint, starts)
-    return np.linalg.norm(box, axis=1)
+    result: Floats = np.linalg.norm(box, axis=1)
+    return result
 
 
 def simplify_chains(

@@ -38,7 +38,8 @@ def _sampled(level: NDArray[Any], uvs: Floats, held: Callable[[Floats], Floats] 
     height, width, channels = level.shape
     texels, shares = bilinear_stencil(uvs, width, height)
     values = held(level.reshape(-1, channels)[texels].astype(np.float64))
-    return np.einsum("nk,nkc->nc", shares, values)
+    result: Floats = np.einsum("nk,nkc->nc", shares, values)
+    return result
 
 
 def positions_at(asset: Asset, uvs: Floats) -> Floats:
@@ -85,14 +86,16 @@ class Drawn:
 
     def at(self, corners: Floats, faces: Indices, shares: Floats) -> Floats:
         """A value of corners, (F, 3, C), at points of faces, (N, C)."""
-        return np.einsum("nk,nkc->nc", shares, corners[faces])
+        result: Floats = np.einsum("nk,nkc->nc", shares, corners[faces])
+        return result
 
     def normals(self, faces: Indices, shares: Floats) -> Floats:
         """Unit shading normals at points, object space, (N, 3)."""
         texels = self._texels("normal", self.normal_uvs, faces, shares)[:, :3]
         if self.asset.textures["normal"].levels[0].dtype.kind == "u":
             texels = 2.0 * texels - 1.0
-        return texels / np.maximum(np.linalg.norm(texels, axis=1, keepdims=True), 1e-30)
+        result: Floats = texels / np.maximum(np.linalg.norm(texels, axis=1, keepdims=True), 1e-30)
+        return result
 
     def base_colors(self, faces: Indices, shares: Floats) -> Floats:
         """Linear base colour and alpha at points, (N, 4)."""

@@ -67,7 +67,8 @@ class Source:
 
     def positions(self, faces: Indices, shares: Floats) -> Floats:
         """Places at rest, (N, 3)."""
-        return np.einsum("nk,nkc->nc", shares, self.corners[faces])
+        result: Floats = np.einsum("nk,nkc->nc", shares, self.corners[faces])
+        return result
 
     def weights(self, vertices: Indices) -> Floats:
         """Joint weights of vertices, (N, J)."""
@@ -81,7 +82,8 @@ class Source:
         """What a texture is looked up with at the corners of faces, (N, 3, 2)."""
         uvs = self.mesh.corner_texcoords[faces, :, ref.texcoord]
         ones = np.ones((*uvs.shape[:2], 1))
-        return np.einsum("ij,nkj->nki", ref.transform[:2], np.concatenate([uvs, ones], axis=2))
+        result: Floats = np.einsum("ij,nkj->nki", ref.transform[:2], np.concatenate([uvs, ones], axis=2))
+        return result
 
     def texture(self, ref: TextureRef | None, faces: Indices, shares: Floats, steps: Floats, is_color: bool) -> Floats:
         """A texture at points, averaged over what a stored texel there stands for, (N, 4); ones without one.
@@ -118,7 +120,8 @@ class Source:
 
         def shader(material: Material, rows: Indices) -> Floats:
             texels = self.texture(material.base_color, faces[rows], shares[rows], steps[rows], True)
-            return texels * np.array(material.base_color_factor)
+            result: Floats = texels * np.array(material.base_color_factor)
+            return result
 
         values = self._of_materials(faces, 4, shader)
         if self.mesh.corner_colors is not None:
@@ -130,7 +133,8 @@ class Source:
 
         def shader(material: Material, rows: Indices) -> Floats:
             texels = self.texture(material.emissive, faces[rows], shares[rows], steps[rows], True)
-            return texels[:, :3] * np.array(material.emissive_factor)
+            result: Floats = texels[:, :3] * np.array(material.emissive_factor)
+            return result
 
         return self._of_materials(faces, 3, shader)
 
@@ -158,7 +162,7 @@ class Source:
         smooth /= np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-30)
 
         def shader(material: Material, rows: Indices) -> Floats:
-            n = smooth[rows]
+            n: Floats = smooth[rows]
             if material.normal is None:
                 return n
             seen = self.mesh.has_texcoords(material.normal.texcoord)[faces[rows]]
@@ -171,7 +175,8 @@ class Source:
             local[:, :2] *= material.normal_scale
             t, b = self._frame(faces[rows], shares[rows], corners, n)
             turned = local[:, :1] * t + local[:, 1:2] * b + local[:, 2:] * n
-            return turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-30)
+            result: Floats = turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-30)
+            return result
 
         return self._of_materials(faces, 3, shader)
 

@@ -27,7 +27,7 @@ from runtime.asset.weight_quadtree import WeightDetails, build_quadtree, details
 from runtime.errors import REBUILD, AssetError
 from runtime.gltf.document import Document, read_document
 from runtime.gltf.local_files import find_local_file
-from runtime.gltf.png_check import find_png_fault
+from runtime.gltf.png_check import find_png_fault, first_line
 from runtime.validation import describe
 
 if TYPE_CHECKING:
@@ -165,7 +165,7 @@ def _read_texels(path: Path, what: str, dtype: str, size: tuple[int, int]) -> ND
     config.attribute("oiio:UnassociatedAlpha", 1)
     reader = oiio.ImageInput.open(str(path), config)
     if reader is None:
-        reason = (oiio.geterror() or "unknown format").splitlines()[0]
+        reason = first_line(oiio.geterror, "unknown format")
         raise AssetError(f"{what}: {path} does not decode ({reason}): {REBUILD}")
     try:
         spec = reader.spec()
@@ -176,11 +176,10 @@ def _read_texels(path: Path, what: str, dtype: str, size: tuple[int, int]) -> ND
         if spec.nchannels > MOST_CHANNELS:
             raise AssetError(f"{what}: {path} has {spec.nchannels} channels: {REBUILD}")
         texels = reader.read_image(0, 0, 0, spec.nchannels, dtype)
-        error = reader.geterror()
+        reason = first_line(reader.geterror, "" if texels is not None else "no texels")
     finally:
         reader.close()
-    if texels is None or error:
-        reason = error.splitlines()[0] if error else "no texels"
+    if reason:
         raise AssetError(f"{what}: {path} is cut short or damaged ({reason}): {REBUILD}")
     return np.ascontiguousarray(texels, _DTYPES[dtype]).reshape(size[1], size[0], -1)
 

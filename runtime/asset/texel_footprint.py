@@ -1,4 +1,4 @@
-"""Which 2 x 2 cells of a texture a mesh can ever read: those that one of its triangles touches in the atlas.
+"""What a mesh reads of a texture: which 2 x 2 cells, those that a triangle touches in the atlas; and bilinear samples.
 
 Letters in shapes: N vertices, F faces, P pairs of a triangle and a cell.
 """
@@ -53,3 +53,17 @@ def touched_cells(
         apart |= nearest < 0.0
     touched[row[~apart], column[~apart]] = True
     return touched
+
+
+def fetch_bilinear(texels: NDArray[np.float32], uvs: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Bilinear samples of (H, W, 3) texels at (..., 2) uvs, as shaders/include/texels.glsl takes them."""
+    size = np.array(texels.shape[1::-1])
+    px = np.clip(uvs * size.astype(np.float32) - np.float32(0.5), 0, (size - 1).astype(np.float32))
+    corner = np.minimum(px.astype(np.int64), np.maximum(size - 2, 0))
+    x, y = corner[..., 0], corner[..., 1]
+    far_x, far_y = np.minimum(x + 1, size[0] - 1), np.minimum(y + 1, size[1] - 1)
+    fraction = (px - corner).astype(np.float32)[..., None]
+    across, down = fraction[..., 0, :], fraction[..., 1, :]
+    top = texels[y, x] + (texels[y, far_x] - texels[y, x]) * across
+    bottom = texels[far_y, x] + (texels[far_y, far_x] - texels[far_y, x]) * across
+    return np.asarray(top + (bottom - top) * down, np.float32)

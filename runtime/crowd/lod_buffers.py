@@ -215,7 +215,7 @@ def bake_level_animations(
 def upload_level(
     ctx: moderngl.Context, mesh: LevelMesh, animation: VertexAnimation | None, matrices: NDArray[np.float32]
 ) -> CrowdLevel:
-    """Put a level on the GPU. Its indices are those of the mesh, and stay their owner's."""
+    """Put a level on the GPU. Its indices are the mesh's, and stay with it."""
     shifts = [dropped_shift(matrices, mesh.positions, mesh.joints, mesh.weights, width) for width in (4, 8)]
     eight = animation is None and shifts[0] > DROPPED_REL * mesh.error_m and shifts[0] > shifts[1]
     joints, weights = pick_joints(mesh.joints, mesh.weights, 8 if eight else 4)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Callable
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
@@ -41,3 +42,12 @@ def find_png_fault(data: bytes) -> str | None:
     if kinds[0] != b"IHDR" or b"IDAT" not in kinds:
         return "it holds no picture"
     return None
+
+
+def first_line(read: Callable[[], str], otherwise: str) -> str:
+    """The first line of what an image library says about a failure; it may quote damaged bytes, which are no text."""
+    try:
+        words = read().strip()
+    except UnicodeDecodeError:
+        return "it is damaged"
+    return words.splitlines()[0][:120] if words else otherwise

@@ -1,6 +1,6 @@
-"""The light map: all light from around, by direction, in one texture (shaders/include/lighting.glsl).
+"""The prefiltered environment map: light from around, by direction, in one texture (shaders/include/lighting.glsl).
 
-Mirrored light is there in steps by roughness, eight of them between two of the environment's levels and each ready
+Specular radiance is there in steps by roughness, eight of them between two of the environment's levels and each ready
 blended, so that one bilinear sample does instead of two. Three columns of tiles hold them, each half as wide as the one
 before and with tiles half as large, because rough surfaces mirror no detail. Light on a white sheet is one more tile.
 A tile is two half spheres side by side, as in `runtime.scene.lighting`.

@@ -68,8 +68,8 @@ class Model(NotCopied):
         How positions lie in GPU memory: 4, 8 or 16 bytes a texel. Characters that were built for words lose nothing
         in them; "auto" takes them for these, and 16 bits a channel for others. A `Prepared` has its own.
     anisotropy : float or None
-        Most samples along the way in which a surface is seen shortened, 1 for none. None: 8, and of base colours alone
-        where OpenGL runs on the processor.
+        Most samples along the way in which a surface is seen shortened, 1 for none. None: 8; where OpenGL runs on the
+        processor, of base colours alone, and of characters with much that is squeezed in the atlas.
     in_slices : bool
         Upload nothing yet: call `upload_slice` until it says that all is there (see `runtime.gpu.loading`).
 
@@ -176,7 +176,7 @@ class Model(NotCopied):
         for name, levels in filtered.items():
             self.textures[name] = self._keep(make_texture(self.ctx, levels[0], levels[1:]))
             yield from fill_texture(self.ctx, self.textures[name], levels)
-        filter_anisotropically(self.ctx, self.textures, self._anisotropy)
+        filter_anisotropically(self.ctx, self.textures, self._anisotropy, prepared.squeezed)
         for name, texels in exact.items():
             self.textures[name] = self._keep(make_texture(self.ctx, texels, linear=False))
             yield from fill_texture(self.ctx, self.textures[name], (texels,))

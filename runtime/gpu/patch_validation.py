@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from runtime.asset.asset import Asset
 from runtime.asset.lod_mesh import LodMesh
+from runtime.asset.texel_footprint import fetch_bilinear
 from runtime.gpu.patches import build_patches, corner_uvs, place_corners, surface_copies
 
 Floats = NDArray[np.float32]
@@ -31,20 +32,6 @@ def _grid() -> tuple[Floats, NDArray[np.int64]]:
     upright = [((i, j), (i + 1, j), (i, j + 1)) for i, j in places if i + j < SEGMENTS]
     turned = [((i + 1, j), (i + 1, j + 1), (i, j + 1)) for i, j in places if i + j < SEGMENTS - 1]
     return shares, np.array([[number[place] for place in small] for small in upright + turned])
-
-
-def _fetch(texels: Floats, uvs: Floats) -> Floats:
-    """Bilinear samples of (H, W, 3) texels at (..., 2) uvs, as shaders/include/texels.glsl takes them."""
-    size = np.array(texels.shape[1::-1])
-    px = np.clip(uvs * size.astype(np.float32) - np.float32(0.5), 0, (size - 1).astype(np.float32))
-    corner = np.minimum(px.astype(np.int64), np.maximum(size - 2, 0))
-    x, y = corner[..., 0], corner[..., 1]
-    far_x, far_y = np.minimum(x + 1, size[0] - 1), np.minimum(y + 1, size[1] - 1)
-    fraction = (px - corner).astype(np.float32)[..., None]
-    across, down = fraction[..., 0, :], fraction[..., 1, :]
-    top = texels[y, x] + (texels[y, far_x] - texels[y, x]) * across
-    bottom = texels[far_y, x] + (texels[far_y, far_x] - texels[far_y, x]) * across
-    return np.asarray(top + (bottom - top) * down, np.float32)
 
 
 def _dot(a: Floats, b: Floats) -> Floats:
@@ -99,8 +86,8 @@ def faulty_faces(
         at_corners = corner_uvs(uvs, canonical_uvs, part)
         for corner in range(3):
             places[:, shares[:, corner] == 1] = at_corners[:, corner, None]
-        points = _fetch(positions, places)
-        corners = _fetch(positions, canonical_uvs[part[:, :3]])
+        points = fetch_bilinear(positions, places)
+        corners = fetch_bilinear(positions, canonical_uvs[part[:, :3]])
         too_far = (distance_to_triangles(points, corners) > error_m).any(axis=1)
         a, b, c = (points[:, small[:, corner]] for corner in range(3))
         whole = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -147,7 +134,9 @@ def divided_patches(asset: Asset, mesh: LodMesh) -> NDArray[np.uint32]:
     positions = np.asarray(asset.textures["position"].levels[0][:, :, :3], np.float32)
     tolerance_m = patch_tolerance_m(asset, mesh)
     copies = surface_copies(mesh.uvs, mesh.canonical_uvs)
-    shift_m = np.linalg.norm(_fetch(positions, mesh.uvs[copies]) - _fetch(positions, mesh.canonical_uvs), axis=-1)
+    shift_m = np.linalg.norm(
+        fetch_bilinear(positions, mesh.uvs[copies]) - fetch_bilinear(positions, mesh.canonical_uvs), axis=-1
+    )
     moved = (shift_m <= tolerance_m) & (mesh is not asset.lods[0])
     patches = place_corners(build_patches(mesh.uvs, mesh.canonical_uvs, mesh.triangles), copies, moved)
     faulty = faulty_faces(positions, mesh.uvs, mesh.canonical_uvs, patches, tolerance_m)

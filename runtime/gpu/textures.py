@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from runtime.asset.asset import Asset
 from runtime.asset.packed_positions import read_words
-from runtime.asset.texel_footprint import touched_cells
+from runtime.asset.texel_footprint import fetch_bilinear, touched_cells
 from runtime.errors import RenderError
 from runtime.gpu.gl_state import allocate_mips, write_rows
 from runtime.gpu.material_packing import MaterialChannels, arrange_channels
@@ -39,6 +39,7 @@ TEXTURE_UNITS = {
 NUM_TEXTURE_UNITS = len(TEXTURE_UNITS)
 MATERIAL_TEXTURES = ("normal_texture", "base_color_texture", "orm_texture", "emissive_texture")
 ANISOTROPY = 8.0  # more shows nowhere in charts that are stretched four times at most
+MUCH_SQUEEZED = 0.1  # of the surface
 SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "SwiftShader")
 _DTYPES = {"uint8": "f1", "uint16": "nu2", "float16": "f2", "float32": "f4"}
 _EXACT_DTYPES = {"uint16": "u2", "uint32": "u4"}
@@ -70,7 +71,26 @@ def is_software(ctx: moderngl.Context) -> bool:
     return any(name in ctx.info["GL_RENDERER"] for name in SOFTWARE_RENDERERS)
 
 
-def filter_anisotropically(ctx: moderngl.Context, textures: Mapping[str, moderngl.Texture], most: float | None) -> None:
+def squeezed_share(asset: Asset) -> float:
+    """Part of the surface whose texels are over twice as long as wide: isotropic filtering loses a mip level there."""
+    mesh, texels = asset.lods[0], asset.textures["position"].levels[0][:, :, :3]
+    triangles = mesh.triangles.astype(np.int64)
+    points = fetch_bilinear(np.asarray(texels, np.float32), mesh.canonical_uvs).astype(np.float64)
+    uvs = mesh.uvs.astype(np.float64) * asset.textures.get("base_color", asset.textures["position"]).size
+    along, across = (np.stack([a[triangles[:, k]] - a[triangles[:, 0]] for k in (1, 2)], -1) for a in (points, uvs))
+    determinant = np.linalg.det(across)
+    sound = np.abs(determinant) > 1e-12
+    metres = along[sound] @ np.linalg.inv(across[sound])  # (F, 3, 2), that a texel covers along u and v
+    gram = metres.transpose(0, 2, 1) @ metres
+    half, product = np.trace(gram, axis1=1, axis2=2) / 2, np.linalg.det(gram)
+    root = np.sqrt(np.maximum(half * half - product, 0.0))
+    areas = np.sqrt(np.maximum(product, 0.0)) * np.abs(determinant[sound])
+    return float(areas[half + root > 4.0 * (half - root)].sum() / max(areas.sum(), 1e-300))
+
+
+def filter_anisotropically(
+    ctx: moderngl.Context, textures: Mapping[str, moderngl.Texture], most: float | None, squeezed: float
+) -> None:
     """Let surfaces that are seen aslant, or squeezed in the atlas, be sampled along the way they are shortened.
 
     Parameters
@@ -78,10 +98,14 @@ def filter_anisotropically(ctx: moderngl.Context, textures: Mapping[str, moderng
     ctx : moderngl.Context
     textures : mapping of names to textures
     most : float or None
-        Most samples; None: `ANISOTROPY`, and of base colours alone where the processor filters, since every texture
-        so filtered makes a picture half as dear again there.
+        Most samples; None: `ANISOTROPY`. Where the processor filters, every texture so filtered makes a picture half
+        as dear again: there it is base colours alone, of characters with much that is squeezed.
+    squeezed : float
+        From `squeezed_share`.
     """
-    names = ("base_color_texture",) if most is None and is_software(ctx) else MATERIAL_TEXTURES
+    names: tuple[str, ...] = MATERIAL_TEXTURES
+    if most is None and is_software(ctx):
+        names = ("base_color_texture",) if squeezed > MUCH_SQUEEZED else ()
     wanted = min(ANISOTROPY if most is None else most, ctx.max_anisotropy)
     for name in names:
         if wanted > 1:  # the extension is there
@@ -148,12 +172,15 @@ class Prepared:
     positions : PreparedPositions
     weight_cells : WeightCells
     channels : MaterialChannels
+    squeezed : float
+        From `squeezed_share`.
     """
 
     asset: Asset
     positions: PreparedPositions
     weight_cells: WeightCells
     channels: MaterialChannels
+    squeezed: float
 
 
 def _prepare_positions(asset: Asset, form: str) -> PreparedPositions:
@@ -192,7 +219,7 @@ def prepare(asset: Asset, position_format: str = "auto") -> Prepared:
     cells = build_weight_cells(
         asset.textures["weights"].levels[0], asset.weight_size, asset.num_joints, asset.weight_details, _touched(asset)
     )
-    return Prepared(asset, positions, cells, arrange_channels(asset))
+    return Prepared(asset, positions, cells, arrange_channels(asset), squeezed_share(asset))
 
 
 def _touched(asset: Asset) -> NDArray[np.bool_]:

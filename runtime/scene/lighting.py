@@ -28,7 +28,7 @@ FILTERED_AT_ONCE = 64  # directions: what is computed for them stays in the proc
 
 
 def map_directions(size: int) -> NDArray[np.float64]:
-    """Unit vectors (size, 2 size, 3) of a light map's texels: x along columns, z along rows, +Y in the left middle."""
+    """Unit vectors (size, 2 size, 3) of a map's texels: x along columns, z along rows, +Y in the left middle."""
     places = ((np.arange(size) + 0.5) / size * 2 - 1) / REACH
     x, z = np.meshgrid(places, places)
     far_sq = x * x + z * z
