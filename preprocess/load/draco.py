@@ -35,7 +35,10 @@ def provide(document: Document, primitive: dict[str, Any], where: str) -> None:
         If the decoder is not installed, or the data is damaged.
     """
     spec = primitive["extensions"][EXTENSION]
-    data = document.view_bytes(spec.get("bufferView"))
+    given = spec.get("attributes")
+    if not isinstance(given, dict) or not isinstance(spec.get("bufferView"), int):
+        raise InputError(f"{where}: its Draco data is missing: export the file again")
+    data = document.view_bytes(spec["bufferView"])
     wanted = [primitive.get("indices"), *primitive.get("attributes", {}).values()]
     counts = [document.item("accessors", index).get("count", 0) for index in wanted if index is not None]
     if max(counts, default=0) > 3 * document.limits.triangles:
@@ -50,7 +53,6 @@ def provide(document: Document, primitive: dict[str, Any], where: str) -> None:
         found = {int(one["unique_id"]): np.asarray(one["data"]) for one in mesh.attributes}
     except Exception as error:  # the package raises its own kinds, and plain ones, for damage of every kind
         raise InputError(f"{where}: its Draco data is damaged ({str(error)[:60]}): export the file again") from None
-    given = spec.get("attributes", {})
     for name, index in primitive.get("attributes", {}).items():
         if name in given:
             values = found.get(given[name]) if isinstance(given[name], int) else None

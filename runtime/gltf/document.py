@@ -218,7 +218,7 @@ class Document:
         hidden = [name for name in COMPRESSED_VIEWS if name in view.get("extensions", {})]
         stride = view.get("byteStride", 0)
         if hidden and (hidden[0] in self.json.get("extensionsRequired", []) or not self._has_data(view.get("buffer"))):
-            decoded = self._decoded_view(index, view["extensions"][hidden[0]], where)
+            decoded = self._decoded_view(index, hidden[0], where)
             if not isinstance(stride, int) or stride < 0:
                 raise AssetError(f"{where}: bufferView {index} is malformed: export again")
             return decoded, 0, len(decoded), stride
@@ -230,10 +230,13 @@ class Document:
             raise AssetError(f"{where} needs {start + length} bytes of a buffer of {len(data)}: the file is cut short")
         return data, start, length, stride
 
-    def _decoded_view(self, index: int, spec: dict[str, Any], where: str) -> bytes:
+    def _decoded_view(self, index: int, extension: str, where: str) -> bytes:
         """The bytes of a compressed view, decoded once; they count as the file's own."""
         key = -1 - index
         if key not in self._buffers:
+            spec = self.item("bufferViews", index)["extensions"][extension]
+            if "buffer" not in spec:
+                raise AssetError(f"{where} is compressed with {extension}: {_advice([extension])}")
             start, length = spec.get("byteOffset", 0), spec.get("byteLength", 0)
             data = self._buffer(spec.get("buffer"))
             whole = isinstance(start, int) and isinstance(length, int) and 0 <= start and 0 <= length
