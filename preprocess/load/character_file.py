@@ -49,8 +49,9 @@ SUPPORTED_EXTENSIONS = (
     "KHR_lights_punctual",
     "KHR_xmp_json_ld",
     "EXT_texture_webp",
-    "KHR_draco_mesh_compression",  # refused at the primitive, unless it has an uncompressed copy
-    "EXT_meshopt_compression",  # refused at the buffer view
+    "KHR_draco_mesh_compression",
+    "EXT_meshopt_compression",
+    "KHR_meshopt_compression",
     "VRM",
     "VRMC_vrm",
     "VRMC_materials_mtoon",

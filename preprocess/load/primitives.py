@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from preprocess.arrays import Floats
 from preprocess.errors import InputError
+from preprocess.load import draco
 from runtime.gltf.document import Document
 from runtime.gltf.morph_names import MAX_TARGETS
 
@@ -219,12 +220,11 @@ def read_primitive(document: Document, spec: dict[str, Any], where: str) -> tupl
     if mode not in (TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN):
         return None, [f"{where}: points or lines dropped"]
     attributes = spec.get("attributes", {})
-    if "KHR_draco_mesh_compression" in spec.get("extensions", {}):
+    if draco.EXTENSION in spec.get("extensions", {}):
         if "bufferView" not in document.item("accessors", attributes.get("POSITION")):
-            raise InputError(
-                f"{where} is compressed with Draco: decompress the file, for example with `gltf-transform copy`"
-            )
-        warnings.append(f"{where}: its uncompressed copy is read instead of the Draco one")
+            draco.provide(document, spec, where)
+        else:
+            warnings.append(f"{where}: its uncompressed copy is read instead of the Draco one")
     if "POSITION" not in attributes:
         return None, [f"{where}: it has no positions: dropped"]
     positions = document.accessor(attributes["POSITION"]).astype(np.float64)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from runtime.errors import AssetError
 from runtime.gltf.limits import LIMITS, Limits
 from runtime.gltf.local_files import read_regular
+from runtime.gltf.meshopt_views import decode_view
 from runtime.gltf.schema import check_types
 from runtime.gltf.uris import read_uri
 
@@ -69,6 +70,7 @@ class Document:
     _buffers: dict[int, bytes] = field(default_factory=dict, repr=False, compare=False)
     # Accessors that were decoded, and the bytes of all with and of all without data.
     _decoded: set[int] = field(default_factory=set, repr=False, compare=False)
+    _provided: dict[int, NDArray[Any]] = field(default_factory=dict, repr=False, compare=False)
     _totals: dict[bool, int] = field(default_factory=lambda: {True: 0, False: 0}, repr=False, compare=False)
 
     def items(self, kind: str) -> list[dict[str, Any]]:
@@ -90,6 +92,10 @@ class Document:
                 f"{self.path.name}: {kind}[{str(index)[:20]}] does not exist (there are {len(entries)}): export again"
             )
         return entries[index]
+
+    def provide(self, index: int, values: NDArray[Any]) -> None:
+        """Let an accessor give these values, as they would be stored, in place of those of its buffer view."""
+        self._provided[index] = values
 
     def accessor(self, index: int) -> NDArray[Any]:
         """Decode one accessor.
@@ -114,12 +120,17 @@ class Document:
         count = spec.get("count")
         if dtype is None or shape is None or not isinstance(count, int) or count < 0:
             raise AssetError(f"{where} is malformed (type, componentType or count): export again")
-        backed = "bufferView" in spec
+        backed = "bufferView" in spec and index not in self._provided
         if backed:
             offset = spec.get("byteOffset", 0)
             view = self._read_view(spec["bufferView"], offset, dtype, shape, count, where)
-        self._count(index, count * dtype.itemsize * int(np.prod(shape, dtype=np.int64)), backed, where)
-        values = view.copy() if backed else np.zeros((count, *shape), dtype)
+        provided = self._provided.get(index)
+        if provided is None:
+            self._count(index, count * dtype.itemsize * int(np.prod(shape, dtype=np.int64)), backed, where)
+        if provided is not None:
+            values = provided.copy()
+        else:
+            values = view.copy() if backed else np.zeros((count, *shape), dtype)
         if "sparse" in spec:
             self._apply_sparse(values, spec["sparse"], dtype, shape, where)
         if dtype.kind == "f":  # damaged bytes may be signalling NaNs, which would warn wherever they are used
@@ -205,8 +216,12 @@ class Document:
         """Buffer, start, length and stride (0: packed) of a buffer view, all checked."""
         view = self.item("bufferViews", index)
         hidden = [name for name in COMPRESSED_VIEWS if name in view.get("extensions", {})]
+        stride = view.get("byteStride", 0)
         if hidden and (hidden[0] in self.json.get("extensionsRequired", []) or not self._has_data(view.get("buffer"))):
-            raise AssetError(f"{where} is compressed with {hidden[0]}: {_advice(hidden)}")
+            decoded = self._decoded_view(index, hidden[0], where)
+            if not isinstance(stride, int) or stride < 0:
+                raise AssetError(f"{where}: bufferView {index} is malformed: export again")
+            return decoded, 0, len(decoded), stride
         data = self._buffer(view.get("buffer"))
         start, length, stride = view.get("byteOffset", 0), view.get("byteLength", 0), view.get("byteStride", 0)
         if not all(isinstance(n, int) and n >= 0 for n in (start, length, stride)):
@@ -214,6 +229,21 @@ class Document:
         if start + length > len(data):
             raise AssetError(f"{where} needs {start + length} bytes of a buffer of {len(data)}: the file is cut short")
         return data, start, length, stride
+
+    def _decoded_view(self, index: int, extension: str, where: str) -> bytes:
+        """The bytes of a compressed view, decoded once; they count as the file's own."""
+        key = -1 - index
+        if key not in self._buffers:
+            spec = self.item("bufferViews", index)["extensions"][extension]
+            if "buffer" not in spec:
+                raise AssetError(f"{where} is compressed with {extension}: {_advice([extension])}")
+            start, length = spec.get("byteOffset", 0), spec.get("byteLength", 0)
+            data = self._buffer(spec.get("buffer"))
+            whole = isinstance(start, int) and isinstance(length, int) and 0 <= start and 0 <= length
+            if not whole or start + length > len(data):
+                raise AssetError(f"{where}: its compressed data reaches outside its buffer: the file is cut short")
+            self._buffers[key] = decode_view(spec, data[start : start + length], self.limits.file_bytes, where)
+        return self._buffers[key]
 
     def _read_view(
         self, view: Any, offset: Any, dtype: np.dtype[Any], shape: tuple[int, ...], count: int, where: str
