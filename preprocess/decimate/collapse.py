@@ -212,6 +212,13 @@ def collapse(m, h, row, free_ends):
     m.vertices[m.links[from_d, TAIL], OUT] = from_d
     for v in (a, m.links[from_c, TAIL], m.links[from_d, TAIL]):
         _count_silhouettes(m, v)
+    if m.settings[RELAXED] > 0.0:  # where a chart closes up, its seams end for the vertices around, too
+        g = to_c
+        while True:
+            _count_silhouettes(m, m.links[next_of(g), TAIL])
+            g = m.links[previous_of(g), TWIN]
+            if g == to_c:
+                break
     num_faces = len(m.faces)
     for e in (h, hn, hp, t, tn, tp):
         m.links[e, TWIN] = -1

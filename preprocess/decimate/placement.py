@@ -71,8 +71,14 @@ def draw_position(texture, u, v, point):
 @helper
 def hold_vertex(links, uv, quadric, ten, h, scale):
     """Add the position quadrics of all wedges of the silhouette vertex that h starts at, each at its own uv."""
+    start = h
     while not is_silhouette(links, h):
         h = links[previous_of(h), TWIN]
+        if h == start:  # no seam is left here: one wedge is all there is
+            w = links[h, WEDGE]
+            if w >= 0:
+                add_with_uv_held(quadric, w, uv[w, 0] * scale, uv[w, 1] * scale, ten)
+            return
     g = h
     while True:
         w = links[g, WEDGE]
