@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,7 @@ def close_mips(
     most_change: float = np.inf,
     jump_limit: float = JUMP_LIMIT,
     bands: Bands | None = None,
+    even_reach: bool = False,
 ) -> tuple[Level, ...]:
     """Close the seams of a texture and of its mip chain.
 
@@ -53,6 +55,9 @@ def close_mips(
         Of the solutions, in 255ths.
     bands : dict, optional
         Bands by (width, height) for the same surface, seams and options: used where there is one, and filled.
+    even_reach : bool
+        Whether a change reaches as many texels at every level. The weight of change is shared by the inside texels, so
+        the reach halves from level to level otherwise, which is a fixed distance on the surface.
 
     Returns
     -------
@@ -67,7 +72,9 @@ def close_mips(
         if chain and is_crowded(surface, seams, *size):
             break
         if size not in bands:
-            bands[size] = plan_band(surface, seams, *size, options)
+            share = 0.25 ** len(chain) if even_reach else 1.0
+            weights = replace(options.weights, change=share * options.weights.change)
+            bands[size] = plan_band(surface, seams, *size, replace(options, weights=weights))
         band = bands[size]
         current = texels if finer is None else _average(*finer, size, levels, srgb_channels)
         allowed = most_change if chain else np.inf
