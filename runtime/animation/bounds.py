@@ -169,7 +169,7 @@ class JointBoxes:
         (A, 3, 4, P)
             Three half edges and the middle of each, as columns.
         """
-        words = matrices.reshape(len(matrices), -1).take(self._words, axis=1)
+        words = matrices.reshape(len(matrices), int(np.prod(matrices.shape[1:]))).take(self._words, axis=1)
         edges, middles = self._single if words.dtype == np.float32 else self._exact
         if morph_weights is not None and self._reaches is not None:
             edges, middles = self._grown(morph_weights)
