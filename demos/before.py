@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,13 +45,25 @@ def _box_mips(texels: NDArray[np.float64], steps: int, dtype: type[np.unsignedin
     return TextureData("", tuple(np.rint(np.clip(level, 0.0, 1.0) * steps).astype(dtype) for level in levels))
 
 
+def _settings(asset: Asset) -> Settings:
+    """The settings that a character was built with, as its manifest has them."""
+    known = {field.name for field in dataclasses.fields(Settings)}
+    stored = asset.manifest.json.get("settings", {})
+    chosen: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in stored.items()
+        if name in known and not isinstance(value, dict)  # limits on what a file may ask for
+    }
+    return Settings(**chosen)
+
+
 def without_erasure(asset: Asset, source: Path) -> Asset:
     """The same character with textures as baked.
 
     Parameters
     ----------
     asset : Asset
-        Built with default settings from `source`.
+        Built from `source`.
     source : Path
 
     Raises
@@ -65,10 +78,10 @@ def without_erasure(asset: Asset, source: Path) -> Asset:
         character = load_character(source)
     except InputError as error:
         raise DemoError(str(error)) from None
-    atlas = character_atlas(character, Settings())
+    atlas = character_atlas(character, _settings(asset))
     mesh = atlas.mesh
     if len(asset.lods[0].triangles) != mesh.num_faces:
-        raise DemoError(f"{asset.path} was built with other settings than the default ones: build it again")
+        raise DemoError(f"{asset.path} was built by other tools than these: build it again")
     sizes = {name: texture.size for name, texture in asset.textures.items()}
     baked = {name: asset.textures[name] for name in asset.textures}
     positions = bake_positions(mesh, sizes["position"])
