@@ -391,11 +391,10 @@ def _warn(overlap: Any, texels: Mapping[str, Any]) -> tuple[str, ...]:
     if not overlap.one_to_one:
         share = 100 * float(overlap.faces.mean())
         warnings.append(f"{share:.1f} % of the faces overlap others in uv or have no area there: expect wrong textures")
-    if texels["sparse_faces"] or texels["stretched_faces"]:
-        warnings.append(
-            f"{texels['sparse_faces']} faces that can be seen have under a quarter of the usual texels, "
-            f"{texels['stretched_faces']} are stretched more than 4 : 1"
-        )
+    if texels["sparse_faces"]:
+        warnings.append(f"{texels['sparse_faces']} faces that can be seen have under a quarter of the usual texels")
+    if texels["stretched_faces"]:
+        warnings.append(f"{texels['stretched_faces']} faces that can be seen are stretched more than 4 : 1")
     if texels["thin_faces"]:
         warnings.append(f"{texels['thin_faces']} faces are narrower than a texel at {texels['size_px']} texels a side")
     return tuple(warnings)
