@@ -15,10 +15,10 @@ from preprocess.decimate.lower_bound import count_floor
 from preprocess.decimate.measure import make_reference, measure, sample_mesh
 from preprocess.decimate.placement import draw_position, solve_joint
 from preprocess.decimate.quadrics import FIRST, accumulate_faces, add_with_uv_held, evaluate_position
-from preprocess.decimate.skinning import make_skinning
 from preprocess.decimate.state import BOUNDARY_WEIGHT, make_engine
 from preprocess.decimate.topology import NO_WEDGE, TAIL, TWIN, WEDGE, build_half_edges
 from preprocess.mesh.closest_point import build_tree
+from preprocess.mesh.skinning import make_skinning
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.mesh.texels import sample_bilinear
 from tests.builders_decimate import box, parts, square, two_strips, waves

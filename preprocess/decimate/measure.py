@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from preprocess.arrays import Floats, Ints
 from preprocess.decimate.levels import Lod
-from preprocess.decimate.skinning import Skinning, make_skinning
 from preprocess.mesh.closest_point import NearestTree, build_tree
 from preprocess.mesh.face_geometry import face_areas, face_normals
+from preprocess.mesh.skinning import Skinning, make_skinning
 from preprocess.mesh.surface import TexturedSurface
 
 # Samples over the area of each mesh, and how many of its vertices besides; with many poses, in each of them.

@@ -27,8 +27,8 @@ from preprocess.decimate.quadrics import SIZE, accumulate_faces
 from preprocess.decimate.refinement import polish
 from preprocess.decimate.rules import Mesh
 from preprocess.decimate.seam_precision import straighten_within, written_tolerance_uv
-from preprocess.decimate.skinning import Skinning, make_skinning
 from preprocess.decimate.topology import TAIL, TWIN, WEDGE, HalfEdges, build_half_edges, source_uvs
+from preprocess.mesh.skinning import Skinning, make_skinning
 from preprocess.mesh.surface import TexturedSurface
 from preprocess.mesh.texels import sample_bilinear
 from preprocess.mesh.vertex_cache import reorder
