@@ -88,9 +88,11 @@ def build(model: Path, destination: Path, settings: Settings, progress: Progress
             )
         tries: list[_Try] = []
         trying: Settings | None = settings
+        draft: _Draft | None = None
         ways: list[str] = []
         while trying is not None:
-            tried = _build_once(character, folder / f"try-{len(tries)}", trying, progress)
+            draft = _make_draft(character, trying, progress, draft)
+            tried = _build_once(character, draft, folder / f"try-{len(tries)}", trying, progress)
             tries.append(tried)
             with progress.stage("verify") as stage:
                 found = measure_folder(tried.folder, character)
@@ -150,9 +152,27 @@ def _keep(chosen: _Try, folder: Path, ways: Sequence[str], progress: Progress) -
     return BuildResult(rows, tuple(manifest["warnings"]), dict(progress.seconds))
 
 
-def _build_once(character: Character, folder: Path, settings: Settings, progress: Progress) -> _Try:
-    """All stages from the atlas on, into a folder of their own."""
-    folder.mkdir()
+@dataclass(frozen=True)
+class _Draft:
+    """What does not depend on the sizes of geometry's maps: a try with other sizes goes on from here."""
+
+    settings: Settings
+    poses: Floats
+    stored: Atlas
+    baking: TextureStage
+    textures: list[StoredTexture]
+    chain: Chain
+
+    def serves(self, settings: Settings) -> bool:
+        """Whether other settings would draft the same."""
+        sizes: dict[str, Any] = {"geometry_size_px": None, "weight_size_px": None}
+        return dataclasses.replace(settings, **sizes) == dataclasses.replace(self.settings, **sizes)
+
+
+def _make_draft(character: Character, settings: Settings, progress: Progress, before: _Draft | None) -> _Draft:
+    """Atlas, colours, normals and levels; those of the try before, where these settings change none of them."""
+    if before is not None and before.serves(settings):
+        return before
     with progress.stage("atlas") as stage:
         atlas = character_atlas(character, settings)
         stored = dataclasses.replace(atlas, mesh=snap_mesh(atlas.mesh))
@@ -164,14 +184,21 @@ def _build_once(character: Character, folder: Path, settings: Settings, progress
         stage.delta = ", ".join(f"{t.name} {t.size[0]}×{t.size[1]}" for t in textures)
     with progress.stage("levels") as stage:
         chain = _build_lods(character, atlas, textures, poses, settings)
-        lods = chain.lods if stored.mesh is atlas.mesh else snap_levels(chain.lods)
-        stage.delta = " → ".join(str(lod.num_faces) for lod in lods)
+        if stored.mesh is not atlas.mesh:
+            chain = dataclasses.replace(chain, lods=snap_levels(chain.lods))
+        stage.delta = " → ".join(str(lod.num_faces) for lod in chain.lods)
+    return _Draft(settings, poses, stored, baking, textures, chain)
+
+
+def _build_once(character: Character, draft: _Draft, folder: Path, settings: Settings, progress: Progress) -> _Try:
+    """From the levels on, into a folder of their own."""
+    folder.mkdir()
+    stored, baking, chain = draft.stored, draft.baking, draft.chain
     with progress.stage("fit") as stage:
         shapes = choose_shapes(stored.mesh.morphs, stored.mesh.num_vertices)
-        geometry, lods = fit_levels(
-            stored.mesh, lods, poses, settings.geometry_size_px, settings.weight_size_px, shapes
-        )
-        textures = [*geometry, *textures]
+        sizes = (settings.geometry_size_px, settings.weight_size_px)
+        geometry, lods = fit_levels(stored.mesh, chain.lods, draft.poses, *sizes, shapes)
+        textures = [*geometry, *draft.textures]
         if settings.lod_ratios is None:
             lods = tuple(near_enough(lods))  # what is drawn may be further off than what was decimated
         chain = dataclasses.replace(chain, lods=lods)
@@ -179,7 +206,7 @@ def _build_once(character: Character, folder: Path, settings: Settings, progress
         stage.delta = ", ".join(f"{t.name} {t.size[0]}×{t.size[1]}" for t in geometry)
     warnings = (
         *character.warnings,
-        *atlas.warnings,
+        *stored.warnings,
         *baking.notes,
         *chain.warnings,
         *_missed_levels(chain, settings),
