@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import re
 import shutil
 import subprocess
 import sys
@@ -103,3 +105,49 @@ def test_an_unknown_command_is_refused(arguments: list[str], capsys: pytest.Capt
 def test_a_picture_command_is_a_demo(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([name, "--headless", "--out", "picture.png", "nowhere.seamless"]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+DISTRIBUTIONS = {"OpenGL": "pyopengl", "PIL": "pillow", "skimage": "scikit-image", "llvmlite": "numba"}
+# A window library that a person may choose besides ours, and the reference program of a benchmark.
+NOT_OURS_TO_INSTALL = {"PySide6", "seam_erasure", "meshoptimizer"}
+ONLY_IF_THERE = {"runtime": {"meshopt"}}  # compressed files alone need it, and say so
+
+
+def declared(*extras: str) -> set[str]:
+    """Distributions that the package with some extras brings, extras within extras included."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    wanted, found = list(project["dependencies"]), set()
+    for extra in extras:
+        wanted += project["optional-dependencies"][extra]
+    for line in wanted:
+        name = re.match(r"[\w.-]+", line)
+        assert name is not None
+        if name[0] == "seamskin":
+            inner = re.search(r"\[(.*?)\]", line)
+            assert inner is not None
+            found |= declared(*inner[1].split(","))
+        found.add(name[0].lower().replace("_", "-"))
+    return found
+
+
+@pytest.mark.parametrize(
+    "folder,extras",
+    [("runtime", ()), ("preprocess", ("preprocess",)), ("demos", ("demos",)), ("benchmarks", ("bench",)),
+     ("tests", ("dev", "bench"))],
+)  # fmt: skip
+def test_every_package_that_is_imported_is_declared(folder: str, extras: tuple[str, ...]) -> None:
+    """What lies in a developer's environment by chance hides what a new one lacks."""
+    ours = {"tests", "runtime", "preprocess", "demos", "benchmarks", "seamskin"}
+    ours |= {path.stem for path in (ROOT / "tests").glob("*.py")}
+    names = {"numba", "pytest"} if folder == "tests" else set()
+    for path in (ROOT / folder).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                names |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                names.add(node.module.split(".")[0])
+    foreign = names - ours - set(sys.stdlib_module_names) - NOT_OURS_TO_INSTALL - ONLY_IF_THERE.get(folder, set())
+    lacking = {
+        name for name in foreign if DISTRIBUTIONS.get(name, name).lower().replace("_", "-") not in declared(*extras)
+    }
+    assert not lacking
